@@ -1,0 +1,24 @@
+"""Rigid transforms, depth cameras and rigs."""
+
+from depthmocap.geometry.cameras import DepthCamera, Rig, load_rig, save_rig
+from depthmocap.geometry.transforms import (
+    is_rigid,
+    look_at,
+    rigid_inverse,
+    rotation_between,
+    transform_points,
+    z_up_from,
+)
+
+__all__ = [
+    "DepthCamera",
+    "Rig",
+    "is_rigid",
+    "load_rig",
+    "look_at",
+    "rigid_inverse",
+    "rotation_between",
+    "save_rig",
+    "transform_points",
+    "z_up_from",
+]
