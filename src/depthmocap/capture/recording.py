@@ -1,0 +1,277 @@
+"""The recording folder: a rig, one folder of 16-bit depth PNGs per camera, optional background frames and true joints.
+
+::
+
+    rig.json
+    <camera>/<timestamp ns>.png     16-bit grey raw depth, 0 = invalid; one clock for all cameras
+    <camera>/background.png         the empty scene (optional)
+    truth.csv                       true joints, in the columns of pose.csv (optional)
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt16
+from numpy import ndarray
+
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.capture.stamps import check_clocks, fill_gaps, frame_period_ns, group_stamps
+from depthmocap.errors import InputError
+from depthmocap.export.csv import read_csv
+from depthmocap.frames import FrameSet, View
+from depthmocap.geometry import DepthCamera, Rig, load_rig, save_rig
+
+BACKGROUND_FILE = "background.png"
+TRUTH_FILE = "truth.csv"
+TRUTH_COLUMNS: tuple[str, ...] = tuple(f"{joint}_{axis}" for joint in JOINTS for axis in "xyz")
+SATURATED = 65535
+_LAYOUT = "a recording folder holds rig.json and, for each camera in it, <camera>/<timestamp in ns>.png"
+
+
+def read_depth_png(path: Path, camera: DepthCamera) -> UInt16[ndarray, "h w"]:
+    """Raw depth of one frame.
+
+    Raises:
+        InputError: when the file is unreadable, damaged, not 16-bit grey, or not of the camera's size.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}): check that it is a file you may read") from None
+    damaged = f"{path} is not a complete PNG: copy or record it again, or delete it"
+    # The header is checked before decoding: it names the fault exactly, and a cut file never reaches the decoder.
+    if len(data) < 33 or data[:8] != b"\x89PNG\r\n\x1a\n" or b"IEND" not in data[-64:]:
+        raise InputError(damaged)
+    width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
+    if (bits, colour) != (16, 0):
+        kind = {0: "grey", 2: "RGB", 3: "palette", 4: "grey and alpha", 6: "RGBA"}.get(colour, "unknown")
+        raise InputError(f"{path} is {bits}-bit {kind}: depth must be 16-bit grey, raw depth units, 0 where invalid")
+    if (width, height) != (camera.width, camera.height):
+        raise InputError(
+            f"{path} is {width}×{height} but rig.json says {camera.width}×{camera.height} for camera "
+            f"{camera.name!r}: correct its width, height and intrinsics, or the frames"
+        )
+    raw = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if raw is None or raw.dtype != np.uint16 or raw.shape != (height, width):
+        raise InputError(damaged)
+    return raw
+
+
+def _list_frames(folder: Path) -> dict[int, Path]:
+    """Frame files by timestamp, in order of time. A folder that is not there has none."""
+    frames: dict[int, Path] = {}
+    for path in folder.iterdir() if folder.is_dir() else ():
+        if path.suffix.lower() != ".png" or path.name == BACKGROUND_FILE or path.name.startswith("."):
+            continue
+        if not (path.stem.isascii() and path.stem.isdecimal() and int(path.stem) < 2**63):
+            raise InputError(f"{path}: a frame's name must be its timestamp in ns, an integer such as 33333333.png")
+        if other := frames.get(int(path.stem)):
+            raise InputError(f"{path} and {other} have the same timestamp: delete one of them")
+        frames[int(path.stem)] = path
+    return dict(sorted(frames.items()))
+
+
+class Recording:
+    """A recording folder as a sequence of frame sets, read from disk as they are asked for.
+
+    Frames of different cameras within half a frame period of each other form one set; instants at which no camera
+    delivered are sets without views. A bad frame is a view that is absent, and a line in ``problems``. The times of
+    ``truth.csv`` are the frames' timestamps in seconds, or count from the first frame when that cannot be.
+
+    Attributes:
+        rig: the cameras. ``up``: the world's up axis.
+        period_ns: the frame period.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open a folder, check its first frames and read its background frames.
+
+        Raises:
+            InputError: when the folder is not a recording or its configuration cannot be right.
+        """
+        self.path = path
+        self._problems: dict[str, None] = {}  # an ordered set: reading a frame twice reports it once
+        if not path.is_dir():
+            raise InputError(f"{path} is not a folder: {_LAYOUT}")
+        if not (path / "rig.json").is_file():
+            if (path / "groundtruth.mat").is_file():
+                raise InputError(f"{path} is a section of UBC3V, not a recording: pass it as a UBC3V section")
+            raise InputError(f"{path} has no rig.json: {_LAYOUT}")
+        self.rig: Rig = load_rig(path / "rig.json")
+        self.up: str = self.rig.up
+        for name in self.rig.names:
+            if Path(name).name != name:
+                raise InputError(f"{path / 'rig.json'}: camera name {name!r} cannot be a folder's name; rename it")
+        self._files = {name: _list_frames(path / name) for name in self.rig.names}
+        stamps = {name: list(files) for name, files in self._files.items() if files}
+        if not stamps:
+            raise InputError(f"{path} has no frames of its cameras ({', '.join(self.rig.names)}): {_LAYOUT}")
+        for name in self.rig.names:
+            if name not in stamps:
+                self._note(f"{path / name}: no frames; the recording goes on without camera {name!r}")
+        for folder in sorted(path.iterdir()):
+            if folder.is_dir() and folder.name not in self.rig.names and next(folder.glob("*.png"), None):
+                self._note(f"{folder} is not read: rig.json has no camera of that name")
+        self.period_ns: int = frame_period_ns(stamps)
+        check_clocks(path, stamps, self.period_ns)
+        for name in stamps:  # a fault in the first frame is one of configuration, not a lost frame
+            read_depth_png(next(iter(self._files[name].values())), self.rig[name])
+        self._backgrounds = {name: self._read_background(name) for name in self.rig.names}
+        self._sets, gaps = fill_gaps(group_stamps(stamps, self.period_ns), self.period_ns)
+        for gap in gaps:
+            self._note(f"{path}: {gap}")
+        self._truth = self._read_truth(path / TRUTH_FILE)
+
+    @property
+    def problems(self) -> list[str]:
+        """What was wrong so far, one line each; frames are checked as they are read."""
+        return list(self._problems)
+
+    def background(self, name: str) -> Float[ndarray, "h w"] | None:
+        """Depth of the empty scene in metres (0 = invalid), if the camera has a background frame."""
+        return self._backgrounds[name]
+
+    def __len__(self) -> int:
+        return len(self._sets)
+
+    def __iter__(self) -> Iterator[FrameSet]:
+        return (self[i] for i in range(len(self)))
+
+    def __getitem__(self, index: int) -> FrameSet:
+        stamp_set = self._sets[index]
+        views = [self._read_view(name, stamp_set.stamps[name]) for name in self.rig.names if name in stamp_set.stamps]
+        return FrameSet(
+            stamp_set.timestamp_ns, tuple(view for view in views if view), self._true_joints(stamp_set.timestamp_ns)
+        )
+
+    def _note(self, problem: str) -> None:
+        self._problems[problem] = None
+
+    def _read_view(self, name: str, stamp: int) -> View | None:
+        path, camera = self._files[name][stamp], self.rig[name]
+        try:
+            raw = read_depth_png(path, camera)
+        except InputError as error:
+            self._note(str(error))
+            return None
+        if not ((raw > 0) & (raw < SATURATED)).any():
+            self._note(f"{path} has no valid depth (all 0 or {SATURATED}): was the camera covered?")
+            return None
+        return View(camera, camera.to_metres(raw.astype(np.int32)))
+
+    def _read_background(self, name: str) -> Float[ndarray, "h w"] | None:
+        path = self.path / name / BACKGROUND_FILE
+        if not path.exists():
+            return None
+        depth_m = self.rig[name].to_metres(read_depth_png(path, self.rig[name]).astype(np.int32))
+        if not depth_m.any():
+            raise InputError(f"{path} has no valid depth: record the empty scene again, or delete it")
+        return depth_m
+
+    def _read_truth(self, path: Path) -> tuple[Float[ndarray, " rows"], Float[ndarray, "rows 18 3"]] | None:
+        """Times on the frames' clock (s) and joints."""
+        if not path.exists():
+            return None
+        times_s, joints, _ = read_csv(path)
+        first_s, last_s = self._sets[0].timestamp_ns / 1e9, self._sets[-1].timestamp_ns / 1e9
+        slack_s = self.period_ns / 2e9
+        if times_s[-1] < first_s - slack_s and times_s[0] <= slack_s:
+            times_s = times_s + first_s  # as in pose.csv, counted from the first frame
+        if times_s[-1] < first_s - slack_s or times_s[0] > last_s + slack_s:
+            self._note(f"{path}: no row is at the time of a frame; time_s must be the frames' timestamps / 1e9")
+        return times_s, joints
+
+    def _true_joints(self, timestamp_ns: int) -> Float[ndarray, "18 3"] | None:
+        """The truth row nearest in time, if within half a period."""
+        if self._truth is None:
+            return None
+        times_s, joints = self._truth
+        after = int(np.searchsorted(times_s, timestamp_ns / 1e9))
+        distance_s, near = min(
+            (abs(times_s[i] - timestamp_ns / 1e9), i) for i in (after - 1, after) if 0 <= i < len(times_s)
+        )
+        return joints[near] if distance_s <= self.period_ns / 2e9 else None
+
+
+class RecordingWriter:
+    """Writes a recording folder frame by frame; a context manager.
+
+    ``rig.json`` and the background frames are written first, so that a recording cut short is still readable.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        rig: Rig,
+        backgrounds: Mapping[str, UInt16[ndarray, "_ _"]] | None = None,
+        compression: int = 1,
+    ) -> None:
+        """Start a new folder. ``compression`` is PNG's, 0 (none) to 9; 1 is fast enough to record live.
+
+        Raises:
+            InputError: when the folder already holds something, or a background frame does not fit the rig.
+        """
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise InputError(f"{path} exists already: choose a new folder for the recording")
+        self.path, self.rig, self.compression = path, rig, compression
+        self._truth_file = None
+        for name in rig.names:
+            (path / name).mkdir(parents=True, exist_ok=True)
+        save_rig(rig, path / "rig.json")
+        for name, raw in (backgrounds or {}).items():
+            self._write_png(name, BACKGROUND_FILE, raw)
+
+    def write(
+        self,
+        timestamp_ns: int,
+        frames: Mapping[str, UInt16[ndarray, "_ _"]],
+        true_joints: Float[ndarray, "18 3"] | None = None,
+    ) -> None:
+        """Add the raw depth frames of one instant, by camera name, and the true joints (metres, the rig's world).
+
+        Raises:
+            InputError: when a frame is of no camera of the rig, or not of its size, or not 16 bit.
+        """
+        if timestamp_ns < 0:
+            raise InputError(f"timestamp_ns must not be negative, got {timestamp_ns}")
+        for name, raw in frames.items():
+            self._write_png(name, f"{timestamp_ns}.png", raw)
+        if true_joints is not None:
+            if self._truth_file is None:
+                self._truth_file = (self.path / TRUTH_FILE).open("w", encoding="utf-8", newline="\n")
+                self._truth_file.write(",".join(("time_s", *TRUTH_COLUMNS)) + "\n")
+            seconds, rest = divmod(timestamp_ns, 10**9)
+            cells = map(repr, true_joints.astype(float).ravel().tolist())  # repr: reads back exactly
+            self._truth_file.write(f"{seconds}.{rest:09d}," + ",".join(cells) + "\n")
+
+    def close(self) -> None:
+        """Finish the files."""
+        if self._truth_file is not None:
+            self._truth_file.close()
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _write_png(self, name: str, file: str, raw: UInt16[ndarray, "h w"]) -> None:
+        if name not in self.rig.names:
+            raise InputError(f"{self.path}: no camera {name!r} in the rig, which has {', '.join(self.rig.names)}")
+        camera = self.rig[name]
+        if raw.dtype != np.uint16 or raw.shape != (camera.height, camera.width):
+            raise InputError(
+                f"{self.path / name / file}: a frame must be uint16 of {camera.height} rows and {camera.width} "
+                f"columns, got {raw.dtype} {raw.shape}"
+            )
+        # Encoded in memory because OpenCV cannot open a path with non-ASCII letters on Windows.
+        _, data = cv2.imencode(".png", raw, [cv2.IMWRITE_PNG_COMPRESSION, self.compression])
+        (self.path / name / file).write_bytes(data.tobytes())

@@ -1,0 +1,231 @@
+"""The person in the view of a static depth camera: what is nearer than the empty scene, cleaned, largest body first.
+
+The empty scene is a background frame where the source has one; otherwise it is estimated, per pixel, as the far end of
+what the camera saw over the whole recording, because a person who moves covers a pixel only some of the time.
+"""
+
+from __future__ import annotations
+
+import collections
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int32
+from numpy import ndarray
+
+from depthmocap.errors import InputError
+from depthmocap.frames import FrameSet, FrameSource, View
+from depthmocap.geometry import DepthCamera
+
+Mode = Literal["auto", "none"]
+
+#: Frames that a background is estimated from, spread over the recording.
+SAMPLES = 45
+#: The share of a pixel's depths that are nearer than its background; the rest outvote stray far readings.
+FAR_QUANTILE = 0.88
+#: A pixel has a background if it is valid in most frames, or if this share of frames agrees on a depth; otherwise the
+#: room is out of range there, and what returns light is passing by.
+MOSTLY_VALID, LEAST_AGREED = 0.7, 0.3
+#: A person is nearer than the background by this, and by the noise of depth, which grows with its square.
+MARGIN_M, MARGIN_PER_M = 0.04, 0.004
+#: Neighbouring pixels further apart than this are of different surfaces.
+STEP_M = 0.15
+#: A stray pixel at a silhouette hangs at least this far behind one surface and before another.
+FLYING_M = 0.08
+#: Fewer candidate pixels than this in 3×3 are noise. A majority would eat silhouettes that are full of lost pixels.
+FEWEST_TOGETHER = 3
+#: Larger surfaces are of the room, where its depth was not known.
+SMALLEST_PERSON_M2, LARGEST_PERSON_M2 = 0.05, 3.0
+#: Parts that occlusion cut off the body: at least this large, their centres this near to the body's bounding box.
+SMALLEST_PART_M2, PART_REACH_M = 0.001, 0.6
+#: A standing person shows 0.4 m² or more. Less than this in most frames suggests that part of the body never moved.
+WHOLE_PERSON_M2 = 0.2
+
+_FAR = np.float32(1e6)
+_BOX = np.ones((3, 3), np.uint8)
+
+
+@runtime_checkable
+class _Source(FrameSource, Protocol):
+    """A frame source whose type can be checked while testing."""
+
+
+class PersonSegmenter:
+    """Marks the person's pixels in the views of cameras that stand still.
+
+    Mode ``"none"`` takes every pixel with depth for the person: for scenes recorded without a room. In mode ``"auto"``
+    a camera whose background is not known gives empty masks, as does a scene without a person. Where a view brings
+    its own mask, that is the answer.
+
+    Attributes:
+        problems: what makes good masks unlikely, one line each, with the way out.
+    """
+
+    def __init__(self, backgrounds_m: Mapping[str, Float[ndarray, "_ _"]], mode: Mode = "auto") -> None:
+        """Segment against the given empty scenes: depth in metres by camera name, 0 = not known."""
+        self.mode: Mode = mode
+        self.problems: list[str] = []
+        self._limits = {name: _limit_m(background_m) for name, background_m in backgrounds_m.items()}
+
+    @classmethod
+    def from_recording(cls, source: _Source, mode: Mode = "auto") -> PersonSegmenter:
+        """Learn the empty scene of every camera that needs it, from its background frame or from the recording.
+
+        A source may offer ``background(name)`` (see ``Recording``), and ``source[i]`` for speed; without the latter it
+        is read through once.
+        """
+        if mode != "auto":
+            return cls({}, mode)
+        offered: Any = getattr(source, "background", lambda name: None)
+        backgrounds: dict[str, ndarray | None] = {name: offered(name) for name in _camera_names(source)}
+        samples: dict[str, list[View]] = collections.defaultdict(list)
+        if not backgrounds or any(background_m is None for background_m in backgrounds.values()):
+            for frame_set in _spread(source, SAMPLES):
+                for view in frame_set.views:
+                    if backgrounds.setdefault(view.camera.name, None) is None and view.mask is None:
+                        samples[view.camera.name].append(view)
+                if frame_set.views and all(view.mask is not None for view in frame_set.views):
+                    break  # a data set with true masks: nothing to learn
+        known = {name: background_m for name, background_m in backgrounds.items() if background_m is not None}
+        segmenter = cls(known, mode)
+        for name, views in samples.items():
+            segmenter._learn(name, views)
+        return segmenter
+
+    def has_background(self, name: str) -> bool:
+        """Whether the camera's empty scene is known, given or estimated."""
+        return name in self._limits
+
+    def __call__(self, view: View) -> Bool[ndarray, "h w"]:
+        """The person's pixels; all False when nobody is there.
+
+        Raises:
+            InputError: when the view is not of the size of its camera's background.
+        """
+        if view.mask is not None:
+            return view.mask
+        if self.mode == "none":
+            return view.depth_m > 0
+        mask = np.zeros(view.depth_m.shape, bool)
+        limit_m = self._limits.get(view.camera.name)
+        if limit_m is None:
+            return mask
+        if limit_m.shape != mask.shape:
+            raise InputError(f"camera {view.camera.name!r}: view of shape {mask.shape}, background {limit_m.shape}")
+        depth_m = view.depth_m.astype(np.float32, copy=False)
+        candidate = ((depth_m > 0) & (depth_m < limit_m)).view(np.uint8)
+        crowd = cv2.boxFilter(candidate, -1, (3, 3), normalize=False)
+        candidate &= (crowd >= FEWEST_TOGETHER).view(np.uint8)
+        x, y, width, height = cv2.boundingRect(candidate)
+        if width == 0:
+            return mask
+        # The rest needs only the candidates and their neighbours.
+        window = np.s_[max(y - 1, 0) : y + height + 1, max(x - 1, 0) : x + width + 1]
+        mask[window] = _person(depth_m[window], candidate[window] > 0, view.camera.rays[window], view.camera)
+        return mask
+
+    def _learn(self, name: str, views: Sequence[View]) -> None:
+        self._limits[name] = _limit_m(estimate_background([view.depth_m for view in views]))
+        pixel = views[0].camera.fx * views[0].camera.fy
+        areas = np.array([(view.depth_m[self(view)] ** 2).sum() / pixel for view in views])
+        whole = np.count_nonzero(areas > WHOLE_PERSON_M2)
+        if 2 * whole < len(views):
+            self.problems.append(
+                f"camera {name!r}: a whole person is found in only {whole} of {len(views)} sampled frames. If they "
+                "were in view more often, they or parts of them hardly moved: record the empty scene as background.png "
+                "in the camera's folder, or pass --segment none"
+            )
+
+
+def estimate_background(samples_m: Sequence[Float[ndarray, "_ _"]]) -> Float[ndarray, "h w"]:
+    """Empty scene (metres, float32, 0 = not known) from frames of one size with a person moving in them.
+
+    Per pixel: the far quantile of its valid depths, then the mean of all depths that agree with it.
+    """
+    # uint16 mm: half the memory, and a sort several times as fast, for half a millimetre of rounding.
+    stack = np.stack([np.clip(sample * 1000 + 0.5, 0, 65535).astype(np.uint16) for sample in samples_m], -1)
+    height, width, count = stack.shape
+    stack = np.sort(stack.reshape(-1, count), axis=1)  # invalid zeros first
+    valid = np.count_nonzero(stack, axis=1)
+    rank = count - valid + np.floor(FAR_QUANTILE * np.maximum(valid - 1, 0)).astype(np.intp)
+    far = np.take_along_axis(stack, np.minimum(rank, count - 1)[:, None], 1).astype(np.float32)
+    margin = 1000 * _margin_m(far / 1000)
+    agree = (stack > far - margin) & (stack < far + margin) & (stack > 0)
+    agreed = np.count_nonzero(agree, axis=1)
+    background = np.where(agree, stack, 0).sum(1, dtype=np.float32) / np.maximum(agreed, 1) / 1000
+    background[(valid < MOSTLY_VALID * count) & (agreed < LEAST_AGREED * count)] = 0
+    return background.reshape(height, width).astype(np.float32)
+
+
+def _camera_names(source: _Source) -> tuple[str, ...]:
+    rig = getattr(source, "rig", None)
+    return rig.names if rig is not None else ()
+
+
+def _spread(source: _Source, count: int) -> Iterator[FrameSet]:
+    """At most ``count`` frame sets, evenly spread over the source."""
+    wanted = sorted({int(i) for i in np.linspace(0, max(len(source) - 1, 0), count)})[: len(source)]
+    get_item: Any = getattr(source, "__getitem__", None)
+    if get_item is not None:
+        return (get_item(i) for i in wanted)
+    return (frame_set for i, frame_set in enumerate(source) if i in wanted)
+
+
+def _margin_m(depth_m: Float[ndarray, "*shape"]) -> Float[ndarray, "*shape"]:
+    return MARGIN_M + MARGIN_PER_M * depth_m * depth_m
+
+
+def _limit_m(background_m: Float[ndarray, "h w"]) -> Float[ndarray, "h w"]:
+    """Depth below which a pixel is in front of the background; anything where the background is not known."""
+    known = np.where(background_m > 0, background_m, _FAR).astype(np.float32)
+    # Pinholes take the nearest depth around them, or they would be specks of foreground in every frame.
+    filled = np.where(known < _FAR, known, cv2.erode(known, np.ones((5, 5), np.uint8)))
+    return np.where(filled < _FAR, filled - _margin_m(filled), _FAR).astype(np.float32)
+
+
+def _person(
+    depth_m: Float[ndarray, "h w"],
+    candidate: Bool[ndarray, "h w"],
+    rays: Float[ndarray, "h w 2"],
+    camera: DepthCamera,
+) -> Bool[ndarray, "h w"]:
+    """The largest body among the candidate pixels and the parts that belong to it, without stray pixels."""
+    nearest = cv2.erode(np.where(depth_m > 0, depth_m, _FAR), _BOX)
+    behind = depth_m - nearest
+    candidate = candidate & ((behind < FLYING_M) | (cv2.dilate(depth_m, _BOX) - depth_m < FLYING_M))
+    # Dropping the far side of every step parts the surfaces for a plain component search.
+    rim = candidate & (behind > STEP_M)
+    solid = candidate & ~rim
+    labels = np.empty(solid.shape, np.int32)
+    count, _ = cv2.connectedComponents(solid.view(np.uint8), labels, connectivity=8)
+    person = _body_labels(labels, count, depth_m, rays, camera)[labels]
+    # A rim pixel belongs to the surface that it continues.
+    surface = cv2.dilate(np.where(person, depth_m, np.float32(0)), _BOX)
+    return person | (rim & (np.abs(surface - depth_m) < STEP_M))
+
+
+def _body_labels(
+    labels: Int32[ndarray, "h w"],
+    count: int,
+    depth_m: Float[ndarray, "h w"],
+    rays: Float[ndarray, "h w 2"],
+    camera: DepthCamera,
+) -> Bool[ndarray, " labels"]:
+    """Which of the components (0 is none) are the person."""
+    pixels = np.flatnonzero(labels)
+    label, z = labels.ravel()[pixels], depth_m.ravel()[pixels]
+    points = np.concatenate([rays.reshape(-1, 2)[pixels] * z[:, None], z[:, None]], 1)
+    area_m2 = np.bincount(label, z * z, count) / (camera.fx * camera.fy)
+    area_m2[area_m2 > LARGEST_PERSON_M2] = 0
+    main = int(area_m2.argmax())
+    if area_m2[main] < SMALLEST_PERSON_M2:
+        return np.zeros(count, bool)
+    body = points[label == main]
+    centres = np.stack([np.bincount(label, axis, count) for axis in points.T], 1)
+    centres /= np.maximum(np.bincount(label, minlength=count), 1)[:, None]
+    outside = np.maximum(np.maximum(body.min(0) - centres, centres - body.max(0)), 0)
+    chosen = (area_m2 >= SMALLEST_PART_M2) & (np.linalg.norm(outside, axis=1) <= PART_REACH_M)
+    chosen[0] = False
+    return chosen

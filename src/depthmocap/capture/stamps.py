@@ -1,0 +1,91 @@
+"""Timestamps of several cameras: the frame period, the frames that form one set, and gaps."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from depthmocap.errors import InputError
+
+DEFAULT_PERIOD_NS = 33_333_333
+#: A gap longer than this is a pause of the recording, not lost frames: it is reported and not filled.
+LONGEST_FILLED_GAP_NS = 10_000_000_000
+
+
+@dataclasses.dataclass(frozen=True)
+class StampSet:
+    """The frames of one instant: each camera's own timestamp, by camera name, and their median."""
+
+    timestamp_ns: int
+    stamps: Mapping[str, int]
+
+
+def frame_period_ns(stamps: Mapping[str, Sequence[int]]) -> int:
+    """Frame period of the fastest camera: the least of the cameras' median intervals (30 Hz when nothing tells).
+
+    The least, because a camera that drops every other frame must not halve the rate of the rest; cameras with less
+    than a tenth of the longest's frames have too few intervals to say anything.
+    """
+    most = max(map(len, stamps.values()), default=0)
+    trusted = [np.diff(np.array(s, np.int64)) for s in stamps.values() if len(s) > 1 and 10 * len(s) >= most]
+    return min((max(1, int(np.median(intervals))) for intervals in trusted), default=DEFAULT_PERIOD_NS)
+
+
+def group_stamps(stamps: Mapping[str, Sequence[int]], period_ns: int) -> list[StampSet]:
+    """Sets of frames within half a period of each other, at most one a camera, in order of time.
+
+    One sweep over all stamps in order: a set takes every frame up to half a period after its first.
+    """
+    ordered = sorted((stamp, name) for name, own in stamps.items() for stamp in own)
+    groups: list[dict[str, int]] = []
+    first = 0
+    for stamp, name in ordered:
+        if not groups or name in groups[-1] or 2 * (stamp - first) > period_ns:
+            groups.append({})
+            first = stamp
+        groups[-1][name] = stamp
+    sets: list[StampSet] = []
+    for group in groups:
+        own = sorted(group.values())
+        median = (own[(len(own) - 1) // 2] + own[len(own) // 2]) // 2
+        if sets:  # time must advance even when two cameras' equal stamps fall in neighbouring sets
+            median = max(median, sets[-1].timestamp_ns + 1)
+        sets.append(StampSet(median, group))
+    return sets
+
+
+def fill_gaps(sets: Sequence[StampSet], period_ns: int) -> tuple[list[StampSet], list[str]]:
+    """Empty sets where no camera delivered for over 1.5 periods, and a line for each gap too long to fill."""
+    filled: list[StampSet] = []
+    problems: list[str] = []
+    for stamp_set in sets:
+        gap = stamp_set.timestamp_ns - filled[-1].timestamp_ns if filled else 0
+        if gap > LONGEST_FILLED_GAP_NS:
+            problems.append(f"no camera has a frame for {gap / 1e9:.1f} s before {stamp_set.timestamp_ns}; not filled")
+        elif 2 * gap > 3 * period_ns:
+            start, count = filled[-1].timestamp_ns, round(gap / period_ns)
+            filled.extend(StampSet(start + gap * i // count, {}) for i in range(1, count))
+        filled.append(stamp_set)
+    return filled, problems
+
+
+def check_clocks(path: Path, stamps: Mapping[str, Sequence[int]], period_ns: int) -> None:
+    """Cameras may start and stop at different times, but their spans must join up, or their clocks differ.
+
+    Raises:
+        InputError: naming the first camera that starts after all before it have ended.
+    """
+    spans = sorted((own[0], own[-1], name) for name, own in stamps.items())
+    end, last = spans[0][1], spans[0][2]
+    for start, stop, name in spans[1:]:
+        if start - end > period_ns:
+            raise InputError(
+                f"{path}: the frames of camera {name!r} start {(start - end) / 1e9:.3f} s after the last of camera "
+                f"{last!r}: their clocks differ. File names must be timestamps of one clock in ns; shift one camera's, "
+                "or take it out of rig.json"
+            )
+        if stop > end:
+            end, last = stop, name

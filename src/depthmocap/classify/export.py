@@ -1,0 +1,53 @@
+"""Networks as ONNX files, their weights stored in half precision (extra: train)."""
+
+from __future__ import annotations
+
+import copy
+import warnings
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from depthmocap.classify.preprocess import WINDOW
+
+
+def export_onnx(network: nn.Module, path: Path, metadata: dict[str, str]) -> Path:
+    """Write ``network`` as ONNX: input ``windows`` (n, 3, s, s), output ``logits`` (n, 4·44, s/2, s/2).
+
+    Batch norms are folded into the convolutions. Large weights are stored as fp16 behind a cast, which the runtime
+    folds away when it loads the file: half the size, fp32 arithmetic.
+    """
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    network = copy.deepcopy(network).cpu().eval()
+    example = torch.zeros(2, 3, WINDOW, WINDOW)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        program = torch.onnx.export(
+            network, (example,), input_names=["windows"], output_names=["logits"], dynamo=True, verbose=False,
+            dynamic_shapes={"x": {0: torch.export.Dim("n", min=1)}},
+        )  # fmt: skip
+    assert program is not None
+    program.optimize()
+    model = program.model_proto
+    graph = model.graph
+    casts = []
+    for tensor in list(graph.initializer):
+        array = numpy_helper.to_array(tensor)
+        if array.dtype == np.float32 and array.size > 256:
+            half = numpy_helper.from_array(array.astype(np.float16), tensor.name + "_fp16")
+            graph.initializer.remove(tensor)
+            graph.initializer.append(half)
+            casts.append(helper.make_node("Cast", [half.name], [tensor.name], to=TensorProto.FLOAT))
+    nodes = [*casts, *graph.node]
+    del graph.node[:]
+    graph.node.extend(nodes)
+    helper.set_model_props(model, metadata)
+    onnx.checker.check_model(model)
+    partial = path.with_suffix(".tmp")
+    onnx.save(model, partial)
+    partial.replace(path)
+    return path

@@ -1,0 +1,82 @@
+"""Networks that label every pixel of a window (extra: train). Inference runs their ONNX form, see ``runtime``."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from depthmocap.body.regions import REGION_COUNT
+
+CLASSES = REGION_COUNT + 1
+
+
+def _block(channels_in: int, channels_out: int, stride: int = 1, kernel: int = 3) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(channels_in, channels_out, kernel, stride, kernel // 2, bias=False),
+        nn.BatchNorm2d(channels_out),
+        nn.ReLU(inplace=True),
+    )
+
+
+class _Residual(nn.Module):
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.first = _block(channels, channels)
+        self.second = nn.Sequential(nn.Conv2d(channels, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels))
+
+    def forward(self, x: Tensor) -> Tensor:
+        return torch.relu(x + self.second(self.first(x)))
+
+
+class FastNet(nn.Module):
+    """A U-Net for laptop CPUs: half resolution is its finest level, and the head predicts 2×2 pixels at once.
+
+    ``forward`` gives the head's logits, ``(n, 4·44, s/2, s/2)``: channel ``44·k + c`` is class ``c`` of the pixel
+    at row ``k // 2``, column ``k % 2`` of each 2×2 group.
+    """
+
+    def __init__(self, widths: tuple[int, ...] = (24, 48, 88, 136, 160), depths: tuple[int, ...] = (0, 1, 1, 2, 2)):
+        super().__init__()
+        self.widths, self.depths = widths, depths
+        self.stem = nn.Sequential(nn.PixelUnshuffle(2), _block(12, widths[0]))
+        levels = []
+        for i in range(1, len(widths)):
+            blocks = [_Residual(widths[i]) for _ in range(depths[i])]
+            levels.append(nn.Sequential(_block(widths[i - 1], widths[i], 2), *blocks))
+        self.down = nn.ModuleList(levels)
+        self.lateral = nn.ModuleList(
+            nn.Conv2d(widths[i + 1], widths[i], 1, bias=False) for i in range(len(widths) - 1)
+        )
+        self.up = nn.ModuleList(
+            _Residual(widths[i]) if i > 1 else _block(widths[i], widths[i]) for i in range(len(widths) - 1)
+        )
+        self.head = nn.Conv2d(widths[0], 4 * CLASSES, 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        x = self.stem(x)
+        skips = [x]
+        for level in self.down:
+            skips.append(level(skips[-1]))
+        x = skips.pop()
+        for i in reversed(range(len(self.lateral))):
+            x = nn.functional.interpolate(self.lateral[i](x), scale_factor=2.0, mode="nearest") + skips[i]
+            x = self.up[i](x)
+        return self.head(x)
+
+
+NETWORKS = {"fast": FastNet}
+
+
+def masked_logits(logits: Tensor, labels: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Logits (m, 44) and labels (m,) of the masked pixels, without ever shuffling the head's output to full size.
+
+    Args:
+        logits: (n, 4·44, s/2, s/2) as :class:`FastNet` gives them.
+        labels: (n, s, s) integers.
+        mask: (n, s, s) bool.
+    """
+    n, _, h, w = logits.shape
+    grouped = logits.permute(0, 2, 3, 1).reshape(n, h, w, 4, CLASSES)
+    mask4 = nn.functional.pixel_unshuffle(mask[:, None].to(torch.uint8), 2).permute(0, 2, 3, 1).bool()
+    labels4 = nn.functional.pixel_unshuffle(labels[:, None], 2).permute(0, 2, 3, 1)
+    return grouped[mask4], labels4[mask4]

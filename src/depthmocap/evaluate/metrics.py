@@ -1,0 +1,134 @@
+"""Joint errors in centimetres, and the accuracy of body-part labels, as the paper reports them (Sec. 5)."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float, Int, Integer
+from numpy import ndarray
+
+from depthmocap.body.regions import MIRROR, REGION_COUNT
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.errors import InputError
+
+#: Thresholds (cm) of the precision curve.
+CURVE_THRESHOLDS_CM: tuple[int, ...] = tuple(range(31))
+
+
+def joint_errors_cm(estimates: Float[ndarray, "t 18 3"], truths: Float[ndarray, "t 18 3"]) -> Float[ndarray, "t 18"]:
+    """Distances (cm) between estimated and true joints (m), of the same frame and joint; NaN where either is NaN."""
+    return np.linalg.norm(estimates.astype(np.float64) - truths, axis=-1) * 100
+
+
+@dataclasses.dataclass(frozen=True)
+class JointMetrics:
+    """Joint errors over frames. Means and deviations are over the joints that were estimated and have a truth.
+
+    The shares (0–1) are of the joints that have a truth: one that was not estimated is a miss. Where there is nothing
+    to count, a number is NaN.
+    """
+
+    frames: int
+    #: Joints with a truth, over all frames, and those of them without an estimate.
+    observed: int
+    missing: int
+    mean_joint_error_cm: float
+    deviation_cm: float
+    #: By joint name.
+    per_joint_error_cm: dict[str, float]
+    per_joint_deviation_cm: dict[str, float]
+    within_10cm: float
+    #: Share within each of CURVE_THRESHOLDS_CM.
+    curve: tuple[float, ...]
+
+
+def joint_metrics(estimates: Float[ndarray, "t 18 3"], truths: Float[ndarray, "t 18 3"]) -> JointMetrics:
+    """Summarise the errors of estimated joints (m, NaN where there is none) against true ones (m, NaN if unknown)."""
+    errors_cm = joint_errors_cm(estimates, truths)
+    observed = ~np.isnan(truths).any(-1)
+    missing = observed & np.isnan(errors_cm)
+
+    def share_within(threshold_cm: int) -> float:
+        return float((errors_cm <= threshold_cm).sum() / observed.sum()) if observed.any() else float("nan")
+
+    def mean_and_deviation(values: Float[ndarray, "*n"]) -> tuple[float, float]:
+        values = values[~np.isnan(values)]
+        return (float(values.mean()), float(values.std())) if values.size else (float("nan"), float("nan"))
+
+    mean, deviation = mean_and_deviation(errors_cm)
+    by_joint = {joint: mean_and_deviation(errors_cm[:, i]) for i, joint in enumerate(JOINTS)}
+    return JointMetrics(
+        frames=len(errors_cm),
+        observed=int(observed.sum()),
+        missing=int(missing.sum()),
+        mean_joint_error_cm=mean,
+        deviation_cm=deviation,
+        per_joint_error_cm={joint: numbers[0] for joint, numbers in by_joint.items()},
+        per_joint_deviation_cm={joint: numbers[1] for joint, numbers in by_joint.items()},
+        within_10cm=share_within(10),
+        curve=tuple(share_within(threshold) for threshold in CURVE_THRESHOLDS_CM),
+    )
+
+
+def _empty_confusion() -> Int[ndarray, "44 44"]:
+    return np.zeros((REGION_COUNT + 1, REGION_COUNT + 1), dtype=np.int64)
+
+
+@dataclasses.dataclass(eq=False)
+class PixelAccuracy:
+    """Counts of predicted against true regions, over the pixels whose true region is 1–43.
+
+    True background (0) and unlabelled pixels (255) are left out; background predicted on the person is an error.
+    Where there is nothing to count, a number is NaN.
+    """
+
+    #: Pixels by true (row) and predicted (column) region.
+    confusion: Int[ndarray, "44 44"] = dataclasses.field(default_factory=_empty_confusion)
+
+    def add(self, labels_true: Integer[ndarray, "*n"], labels_predicted: Integer[ndarray, "*n"]) -> None:
+        """Count the pixels of an image or a batch of any shape.
+
+        Raises:
+            InputError: when a counted pixel's prediction is not a region 0–43.
+        """
+        counted = (labels_true >= 1) & (labels_true <= REGION_COUNT)
+        true, predicted = labels_true[counted].astype(np.int64), labels_predicted[counted].astype(np.int64)
+        classes = REGION_COUNT + 1
+        if ((predicted < 0) | (predicted >= classes)).any():
+            raise InputError(f"predicted labels must be 0–{REGION_COUNT}, got {predicted.min()} to {predicted.max()}")
+        self.confusion += np.bincount(true * classes + predicted, minlength=classes**2).reshape(classes, classes)
+
+    def merge(self, other: PixelAccuracy) -> PixelAccuracy:
+        """The counts of both, as of one accumulator that saw all the pixels."""
+        return PixelAccuracy(self.confusion + other.confusion)
+
+    @property
+    def pixels(self) -> int:
+        """Pixels counted."""
+        return int(self.confusion.sum())
+
+    @property
+    def pixel_accuracy(self) -> float:
+        """Share (0–1) of the pixels with the true region predicted."""
+        return float(np.trace(self.confusion) / self.pixels) if self.pixels else float("nan")
+
+    @property
+    def per_class_accuracy(self) -> Float[ndarray, " 43"]:
+        """Recall (0–1) of regions 1–43, each pooled over all pixels; NaN where the region does not occur."""
+        totals = self.confusion.sum(1)[1:]
+        return np.divide(np.diagonal(self.confusion)[1:], totals, out=np.full(REGION_COUNT, np.nan), where=totals > 0)
+
+    @property
+    def class_accuracy(self) -> float:
+        """Mean recall (0–1) over the regions that occur."""
+        return float(np.nanmean(self.per_class_accuracy)) if self.pixels else float("nan")
+
+    @property
+    def side_swap(self) -> float:
+        """Share (0–1) of the pixels predicted as the mirror image of their true region (left for right)."""
+        if not self.pixels:
+            return float("nan")
+        regions = np.arange(REGION_COUNT + 1)
+        sided = regions[regions != MIRROR]
+        return float(self.confusion[sided, MIRROR[sided]].sum() / self.pixels)

@@ -1,0 +1,79 @@
+"""Poses as arrays in a Y-up world, and their even spacing in time, for the animation formats."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray
+
+from depthmocap.errors import InputError
+from depthmocap.frames import Pose
+from depthmocap.geometry import z_up_from
+
+#: Rotation into the Y-up world of TRC and BVH files from our Z-up world.
+Y_UP_FROM_Z_UP = z_up_from("y").T
+
+#: The frame interval given to a recording of a single pose.
+SINGLE_FRAME_S = 1 / 30
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Timeline:
+    """A recording's joints, metres, Y up, NaN where unobserved; times in seconds from the first pose."""
+
+    times_s: Float[ndarray, " t"]
+    joints_y_up: Float[ndarray, "t 18 3"]
+    frame_s: float
+
+
+def timeline(poses: Sequence[Pose], up: str) -> Timeline:
+    """Stack poses whose world has the up axis ``up`` ("z", "y" or "-y").
+
+    ``frame_s`` is the mean interval after the gaps are divided into median intervals: a median alone would drift
+    when timestamps are rounded to milliseconds (33, 33, 34, …).
+
+    Raises:
+        InputError: when there is no pose, none shows a person, or the timestamps do not increase.
+    """
+    if not poses:
+        raise InputError("there are no poses to write: the recording holds no frames")
+    joints = np.stack([pose.joints for pose in poses]).astype(np.float64)
+    joints[~np.isfinite(joints).all(-1)] = np.nan
+    if np.isnan(joints).all():
+        raise InputError(
+            f"no person was found in any frame of {len(poses)}: check that the person stands within the range "
+            "of the cameras, and that the background frames were taken without the person"
+        )
+    # Differences of integers: nanoseconds since 1970 do not fit in a double.
+    timestamps_ns = np.array([pose.timestamp_ns for pose in poses], dtype=np.int64)
+    times_s = (timestamps_ns - timestamps_ns[0]) * 1e-9
+    intervals_s = np.diff(times_s)
+    if (intervals_s <= 0).any():
+        at = int(np.argmax(intervals_s <= 0)) + 1
+        raise InputError(f"the poses' timestamps must increase, but pose {at} is not later than pose {at - 1}")
+    frame_s = SINGLE_FRAME_S
+    if len(poses) > 1:
+        steps = np.maximum(np.rint(intervals_s / np.median(intervals_s)), 1)
+        frame_s = float(times_s[-1] / steps.sum())
+    return Timeline(times_s, joints @ (Y_UP_FROM_Z_UP @ z_up_from(up)).T, frame_s)
+
+
+def even_frames(line: Timeline) -> tuple[Int[ndarray, " n"], Bool[ndarray, " n"]]:
+    """The pose to show in each of evenly spaced frames, and whether it is shown again in place of a lost one.
+
+    It is the nearest pose, or the last one where none is within half an interval. Regular timestamps give 0, 1, 2, ….
+
+    Raises:
+        InputError: when pauses would fill the file with copies of one pose.
+    """
+    count = int(np.rint(line.times_s[-1] / line.frame_s)) + 1
+    if count > 20 * len(line.times_s) + 1000:
+        longest_s = np.diff(line.times_s).max()
+        raise InputError(f"the recording pauses for up to {longest_s:.0f} s: export its parts one by one")
+    frame_times_s = np.arange(count) * line.frame_s
+    half_s = 0.5 * line.frame_s
+    source = np.searchsorted(line.times_s, frame_times_s + half_s, side="right") - 1
+    return source, line.times_s[source] < frame_times_s - half_s * (1 + 1e-6)

@@ -1,0 +1,56 @@
+"""Resampling between a sensor's picture and the network's square window, both ways, nearest pixel."""
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True, nogil=True)
+def gather(depth, mask, left, top, step, centre_m, scale_m, out):
+    """Fill ``out[0]`` with scaled relative depth and ``out[1]`` with the mask; both must be zero before.
+
+    Window pixel (i, j) reads the picture at ``(top + (i + 0.5)·step, left + (j + 0.5)·step)``, rounded down.
+    """
+    height, width = depth.shape
+    size = out.shape[1]
+    for i in range(size):
+        y = int(np.floor(top + (i + 0.5) * step))
+        if y < 0 or y >= height:
+            continue
+        for j in range(size):
+            x = int(np.floor(left + (j + 0.5) * step))
+            if x < 0 or x >= width or not mask[y, x]:
+                continue
+            value = (depth[y, x] - centre_m) / scale_m
+            out[0, i, j] = min(max(value, -2.0), 2.0)
+            out[1, i, j] = 1.0
+
+
+@numba.njit(cache=True, nogil=True)
+def gather_labels(labels, left, top, step, out):
+    """Labels of the picture in the window, by the same rule; ``out`` keeps what it held outside the picture."""
+    height, width = labels.shape
+    size = out.shape[0]
+    for i in range(size):
+        y = int(np.floor(top + (i + 0.5) * step))
+        if y < 0 or y >= height:
+            continue
+        for j in range(size):
+            x = int(np.floor(left + (j + 0.5) * step))
+            if 0 <= x < width:
+                out[i, j] = labels[y, x]
+
+
+@numba.njit(cache=True, nogil=True)
+def scatter(window_labels, window_confidence, mask, left, top, step, out_labels, out_confidence):
+    """Labels and confidences of the window at every masked pixel of the picture; both outputs zero before."""
+    height, width = mask.shape
+    size = window_labels.shape[0]
+    first = max(int(np.floor(top)), 0)
+    last = min(int(np.ceil(top + size * step)), height)
+    for y in range(first, last):
+        i = min(max(int((y + 0.5 - top) / step), 0), size - 1)
+        for x in range(width):
+            if mask[y, x]:
+                j = min(max(int((x + 0.5 - left) / step), 0), size - 1)
+                out_labels[y, x] = window_labels[i, j]
+                out_confidence[y, x] = window_confidence[i, j]

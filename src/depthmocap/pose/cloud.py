@@ -1,0 +1,74 @@
+"""View aggregation (paper, section "View Aggregation"): labelled depth images to one labelled cloud in the world."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Float32, UInt8
+from numpy import ndarray
+
+from depthmocap.body.regions import REGION_COUNT
+from depthmocap.errors import InputError
+from depthmocap.frames import View
+from depthmocap.kernels.cloud import count_labelled, unproject_labelled
+
+#: A view, its labels per pixel, and the probabilities of those labels (None: the labels are true).
+LabelledView = tuple[View, UInt8[ndarray, "_ _"], Float[ndarray, "_ _"] | None]
+
+_NO_RAYS = np.empty((0, 0, 2), np.float32)
+_NO_WEIGHTS = np.empty((0, 0), np.float32)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LabelledCloud:
+    """World points (metres) with their regions 1–43 and the probability of each label, 1 for true labels."""
+
+    points_world: Float32[ndarray, "n 3"]
+    labels: UInt8[ndarray, "n"]
+    weights: Float32[ndarray, "n"]
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+
+def merge_views(parts: Sequence[LabelledView]) -> LabelledCloud:
+    """Labelled pixels of all views as points of one world, view after view in row-major order.
+
+    Pixels without a finite depth above 0, and those with a label other than 1–43 (background 0, unknown 255), are left
+    out.
+
+    Raises:
+        InputError: when the depth, labels, weights or (for a lens with distortion) camera of a view differ in shape.
+    """
+    images = []
+    for view, labels, weights in parts:
+        camera, shape = view.camera, view.depth_m.shape
+        if labels.shape != shape or (weights is not None and weights.shape != shape):
+            given = "" if weights is None else f" and weights {weights.shape}"
+            raise InputError(f"camera {camera.name!r}: depth is {shape}, but labels are {labels.shape}{given}")
+        # The rays of a lens without distortion are two multiplications: cheaper than a table when cameras come and go.
+        rays = camera.rays if any(camera.distortion) else _NO_RAYS
+        if rays.size and rays.shape[:2] != shape:
+            raise InputError(f"camera {camera.name!r} is {rays.shape[:2]} (rows, columns), but its depth is {shape}")
+        images.append(
+            (
+                np.ascontiguousarray(view.depth_m, np.float32),
+                np.ascontiguousarray(labels),
+                _NO_WEIGHTS if weights is None else np.ascontiguousarray(weights, np.float32),
+                rays,
+                (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)),
+                np.ascontiguousarray(camera.world_from_camera, np.float64),
+            )
+        )
+    count = sum(count_labelled(depth_m, labels, REGION_COUNT) for depth_m, labels, *_ in images)
+    points_world = np.empty((count, 3), np.float32)
+    all_labels = np.empty(count, np.uint8)
+    all_weights = np.empty(count, np.float32)
+    row = 0
+    for depth_m, labels, weights, rays, intrinsics, pose in images:
+        row = unproject_labelled(
+            depth_m, labels, weights, rays, intrinsics, pose, REGION_COUNT, row, points_world, all_labels, all_weights
+        )
+    return LabelledCloud(points_world, all_labels, all_weights)

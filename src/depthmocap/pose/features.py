@@ -1,0 +1,100 @@
+"""The paper's 24 statistics per body region (section "View Aggregation"): a labelled cloud as one vector of 1032."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float, Float32, Int
+from numpy import ndarray
+
+from depthmocap.body.regions import REGION_COUNT
+from depthmocap.errors import InputError
+from depthmocap.geometry import z_up_from
+from depthmocap.kernels.stats import region_statistics, sort_by_region
+from depthmocap.pose.cloud import LabelledCloud
+
+#: Per region, in this order: median (3), covariance (9, row-major), its eigenvalues (3, ascending), standard
+#: deviation (3), minimum (3), maximum (3).
+FEATURES_PER_REGION = 24
+FEATURE_COUNT = REGION_COUNT * FEATURES_PER_REGION
+#: Regions with fewer points are taken as unseen: their statistics would be those of stray pixels.
+MIN_POINTS = 8
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Features:
+    """A cloud's feature vector and the frame it is in: ``point_feature = rotation @ (point_world - origin_world)``.
+
+    ``values`` is region-major and NaN for the regions nobody sees. ``counts`` are the points of each region and
+    ``mean_weights`` their mean label probability, 0 where there are none.
+    """
+
+    values: Float32[ndarray, "1032"]
+    origin_world: Float[ndarray, "3"]
+    rotation: Float[ndarray, "3 3"]
+    counts: Int[ndarray, "43"]
+    mean_weights: Float[ndarray, "43"]
+
+    def to_world(self, points_feature: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3"]:
+        """Points of the feature frame in the world, metres."""
+        return points_feature @ self.rotation + self.origin_world
+
+    def from_world(self, points_world: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3"]:
+        """World points in the feature frame, metres: the targets that a regressor learns."""
+        return (points_world - self.origin_world) @ self.rotation.T
+
+
+def cloud_features(
+    cloud: LabelledCloud, up: str = "z", absolute: bool = False, min_points: int = MIN_POINTS
+) -> Features:
+    """Statistics of each region of a labelled cloud, in metres and square metres.
+
+    The frame is the world turned Z-up. It is centred on the median of all points along each axis, which a stray pixel
+    cannot move, so that where the person stands makes no difference; ``absolute=True`` is the paper's form, without
+    centring. The heading is not normalised: a person who turns gives other features, and the training data must hold
+    all headings. Covariances are the population's (divided by n). Label probabilities do not weigh the statistics.
+
+    Args:
+        up: the world's up axis, ``"z"``, ``"y"`` or ``"-y"``.
+        min_points: regions with fewer points are NaN.
+
+    Raises:
+        InputError: for another ``up``, ``min_points`` below 1, a label outside 1–43, or a point that is not finite.
+    """
+    if min_points < 1:
+        raise InputError(f"min_points must be at least 1, not {min_points}")
+    try:
+        rotation = z_up_from(up)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    by_region, starts, weight_sums, bad = sort_by_region(
+        np.ascontiguousarray(cloud.points_world),
+        np.ascontiguousarray(cloud.labels),
+        np.ascontiguousarray(cloud.weights),
+        rotation,
+        REGION_COUNT,
+    )
+    if bad:
+        raise InputError(f"{bad} of {len(cloud)} points have a label outside 1–{REGION_COUNT} or are not finite")
+    statistics, centre = region_statistics(by_region, starts, min_points)
+    if absolute:
+        centre = np.zeros(3)
+
+    values = np.full((REGION_COUNT, FEATURES_PER_REGION), np.nan, np.float32)
+    seen = ~np.isnan(statistics[:, 0])
+    median, low, high, covariance = np.split(statistics[seen], [3, 6, 9], axis=1)
+    values[seen] = np.concatenate(
+        [
+            median - centre,
+            covariance,
+            # Rounding may leave the variance of a flat region a hair below zero.
+            np.linalg.eigvalsh(covariance.reshape(-1, 3, 3)).clip(0),
+            np.sqrt(covariance[:, [0, 4, 8]]),
+            low - centre,
+            high - centre,
+        ],
+        axis=1,
+    )
+    counts = np.diff(starts)
+    return Features(values.ravel(), rotation.T @ centre, rotation, counts, weight_sums / np.maximum(counts, 1))

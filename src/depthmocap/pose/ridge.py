@@ -1,0 +1,300 @@
+"""Pose estimation by ridge regression (paper, section "Pose Estimation"): features of a cloud to joints.
+
+With standardised features x (an unseen one is the training mean, 0) and joints y in the feature frame, minimise over
+W and b
+
+    Σₙ ‖ Wᵀ xₙ + b − yₙ ‖² + strength · ‖W‖²
+
+whose solution is W = (Xᵀ X + strength · I)⁻¹ Xᵀ Y for centred X and Y. One eigendecomposition Xᵀ X = V diag(s) Vᵀ
+gives W = V diag(1 / (s + strength)) Vᵀ Xᵀ Y for every strength.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import zipfile
+import zlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Float, Float32, Int
+from numpy import ndarray
+
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.errors import InputError
+from depthmocap.pose.features import FEATURE_COUNT
+
+#: Strengths among which cross-validation chooses.
+STRENGTHS = np.logspace(-1, 6, 15)
+#: Weights are kept in 16 bits where that moves no joint coordinate of the training data by more.
+_ROUNDING_M = 1e-3
+_FORMAT = "depthmocap ridge 1"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RidgePose:
+    """A linear map from features to joints, fit for some number of views (0: any) and kind of labels.
+
+    ``mean`` and ``scale`` standardise the features; ``absolute`` tells how they must be computed (see
+    ``cloud_features``). ``bias`` holds the joints of the mean features, in metres. ``labels`` is "true" or "network".
+    """
+
+    mean: Float32[ndarray, "1032"]
+    scale: Float32[ndarray, "1032"]
+    weights: Float32[ndarray, "1032 54"]
+    bias: Float32[ndarray, "54"]
+    strength: float
+    joints: tuple[str, ...] = JOINTS
+    absolute: bool = False
+    views: int = 0
+    labels: str = "true"
+
+    def predict(self, features: Float[ndarray, "n f"]) -> Float32[ndarray, "n 18 3"]:
+        """Joints in the frame of the features, metres; NaN features count as the training mean.
+
+        Raises:
+            InputError: when there are not 1032 features.
+        """
+        return (_standardise(features, self.mean, self.scale) @ self.weights + self.bias).reshape(-1, len(JOINTS), 3)
+
+    def save(self, path: Path) -> None:
+        """Write the model as one .npz file."""
+        _save((self,), path)
+
+    @classmethod
+    def load(cls, path: Path) -> RidgePose:
+        """Read a model.
+
+        Raises:
+            InputError: when the file is missing, malformed or holds several models.
+        """
+        models = _load(path)
+        if len(models) != 1:
+            raise InputError(f"{path} holds {len(models)} models: load it with RidgeBank.load")
+        return models[0]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RidgeBank:
+    """One model per number of views, the largest of which serves that many and more.
+
+    Raises:
+        InputError: without models, or when two share a number of views or the models differ in ``absolute``.
+    """
+
+    models: tuple[RidgePose, ...]
+
+    def __post_init__(self) -> None:
+        views = [model.views for model in self.models]
+        if not views or len(set(views)) < len(views) or len({model.absolute for model in self.models}) > 1:
+            raise InputError(f"a bank needs models of different numbers of views and of one frame, got views {views}")
+
+    @property
+    def absolute(self) -> bool:
+        """Whether the features are in the paper's absolute frame."""
+        return self.models[0].absolute
+
+    def model_for(self, views: int) -> RidgePose:
+        """The model of this many views or, without one, of the next fewer; of the fewest when none has fewer."""
+        by_views = sorted(self.models, key=lambda model: model.views)
+        return next((model for model in reversed(by_views) if model.views <= views), by_views[0])
+
+    def predict(self, features: Float[ndarray, "n f"], views: int) -> Float32[ndarray, "n 18 3"]:
+        """Joints from the features of clouds that ``views`` cameras saw; see ``RidgePose.predict``."""
+        return self.model_for(views).predict(features)
+
+    def save(self, path: Path) -> None:
+        """Write all models as one .npz file."""
+        _save(self.models, path)
+
+    @classmethod
+    def load(cls, path: Path) -> RidgeBank:
+        """Read a bank (or a single model as a bank of one).
+
+        Raises:
+            InputError: when the file is missing or malformed.
+        """
+        return cls(_load(path))
+
+
+def grouped_folds(groups: Int[ndarray, "n"], folds: int) -> Int[ndarray, "n"]:
+    """Fold 0…folds−1 of every sample: no group is split, folds are of similar size, and fewer if groups are few.
+
+    Raises:
+        InputError: for fewer than two folds or groups.
+    """
+    _, inverse, counts = np.unique(groups, return_inverse=True, return_counts=True)
+    folds = min(folds, len(counts))
+    if folds < 2:
+        raise InputError("cross-validation needs at least two folds and two groups (motion clips)")
+    sizes, fold_of_group = np.zeros(folds), np.zeros(len(counts), np.int64)
+    for group in np.argsort(-counts, kind="stable"):  # largest first, always to the smallest fold
+        fold_of_group[group] = sizes.argmin()
+        sizes[fold_of_group[group]] += counts[group]
+    return fold_of_group[inverse]
+
+
+def fit_ridge(
+    features: Float[ndarray, "n f"],
+    joints: Float[ndarray, "n 18 3"],
+    groups: Int[ndarray, "n"],
+    strengths: Sequence[float] | Float[ndarray, "s"] = STRENGTHS,
+    folds: int = 5,
+    *,
+    absolute: bool = False,
+    views: int = 0,
+    labels: str = "true",
+) -> RidgePose:
+    """Ridge regression whose strength minimises the mean joint error in cross-validation over groups.
+
+    Features and joints are in the feature frame, metres. ``groups`` numbers the motion clip of each sample: clips stay
+    whole in one fold, because neighbouring frames of a clip are nearly equal. The standardisation of the features comes
+    from all samples. With a single strength there is no cross-validation.
+
+    Args:
+        absolute: recorded in the model, as are ``views`` (0: any number) and ``labels`` ("true" or "network").
+
+    Raises:
+        InputError: when there are not 1032 features, when features, joints or strengths are not usable numbers, or when
+            groups are too few.
+    """
+    candidates = np.asarray(strengths, np.float64)
+    if candidates.size == 0 or not (np.isfinite(candidates).all() and (candidates > 0).all()):
+        raise InputError(f"strengths must be positive numbers, got {candidates.tolist()}")
+    if not len(features) or not np.isfinite(joints).all():
+        raise InputError("training needs samples, and their joints must be finite: leave out frames without truth")
+    _check_count(features)
+    if np.isinf(features).any():
+        raise InputError("features must be finite, or NaN for regions that nobody sees")
+    mean, scale = _moments(features)
+    x = _standardise(features, mean, scale)
+    y = joints.reshape(len(joints), -1).astype(np.float64)
+
+    if len(candidates) == 1:
+        sums, best = _products(x, y), 0
+    else:
+        fold_of = grouped_folds(groups, folds)
+        rows_of = [np.flatnonzero(fold_of == fold) for fold in range(fold_of.max() + 1)]
+        parts = [_products(x[rows], y[rows]) for rows in rows_of]
+        sums = np.sum(parts, axis=0)
+        errors = np.zeros(len(candidates))
+        for rows, part in zip(rows_of, parts, strict=True):
+            x_out, y_out = x[rows], y[rows]
+            for i, (weights, bias) in enumerate(_solve(sums - part, candidates)):
+                misses = x_out @ weights.astype(np.float32) + bias - y_out
+                errors[i] += np.linalg.norm(misses.reshape(-1, 3), axis=1).sum()
+        best = int(errors.argmin())
+
+    weights, bias = next(_solve(sums, candidates[best : best + 1]))
+    weights = weights.astype(np.float32)
+    with np.errstate(over="ignore"):
+        rounded = weights.astype(np.float16).astype(np.float32)
+    if np.isfinite(rounded).all() and np.abs(x @ (rounded - weights)).max() <= _ROUNDING_M:
+        weights = rounded
+    strength = float(candidates[best])
+    return RidgePose(mean, scale, weights, bias.astype(np.float32), strength, JOINTS, absolute, views, labels)
+
+
+def _check_count(features: ndarray) -> None:
+    if features.shape[1] != FEATURE_COUNT:
+        raise InputError(f"expected {FEATURE_COUNT} features (see cloud_features), got {features.shape[1]}")
+
+
+def _moments(features: ndarray) -> tuple[ndarray, ndarray]:
+    """Mean and deviation of what was seen of each feature; a constant or never seen feature gets the deviation 1."""
+    seen = ~np.isnan(features)
+    count = np.maximum(seen.sum(0), 1)
+    mean = np.sum(features, axis=0, where=seen, dtype=np.float64) / count
+    deviation = np.sqrt(np.sum((features - mean) ** 2, axis=0, where=seen) / count)
+    constant = deviation <= 1e-6 * np.abs(mean) + 1e-12  # rounding only: dividing by it would amplify noise
+    return mean.astype(np.float32), np.where(constant, 1.0, deviation).astype(np.float32)
+
+
+def _standardise(features: ndarray, mean: ndarray, scale: ndarray) -> ndarray:
+    _check_count(features)
+    x = (features.astype(np.float32, copy=False) - mean) / scale
+    x[np.isnan(x)] = 0
+    return x
+
+
+def _products(x: ndarray, y: ndarray) -> ndarray:
+    """[1 X]ᵀ [1 X Y]: all that the solution needs to know of the samples. It adds up over folds."""
+    ones = np.ones((len(x), 1))
+    left = np.concatenate([ones, x.astype(np.float64)], axis=1)
+    return np.concatenate([left.T @ left, left.T @ y], axis=1)
+
+
+def _solve(sums: ndarray, strengths: ndarray) -> Iterator[tuple[ndarray, ndarray]]:
+    """Weights and bias for each strength, from ``_products``; see the top of this file."""
+    d = len(sums) - 1
+    count, x_sum, y_sum = sums[0, 0], sums[0, 1 : d + 1], sums[0, d + 1 :]
+    gram = sums[1:, 1 : d + 1] - np.outer(x_sum, x_sum) / count
+    cross = sums[1:, d + 1 :] - np.outer(x_sum, y_sum) / count
+    values, vectors = scipy.linalg.eigh(gram, overwrite_a=True, check_finite=False, driver="evd")
+    rotated = vectors.T @ cross
+    for strength in strengths:
+        weights = vectors @ (rotated / (values.clip(0) + strength)[:, None])
+        yield weights, (y_sum - x_sum @ weights) / count
+
+
+def _save(models: tuple[RidgePose, ...], path: Path) -> None:
+    weights = np.stack([model.weights for model in models])
+    with np.errstate(over="ignore"):
+        halves = weights.astype(np.float16)
+    with path.open("wb") as file:
+        np.savez_compressed(
+            file,
+            format=np.array(_FORMAT),
+            joints=np.array(models[0].joints),
+            mean=np.stack([model.mean for model in models]),
+            scale=np.stack([model.scale for model in models]),
+            weights=halves if np.array_equal(halves, weights) else weights,
+            bias=np.stack([model.bias for model in models]),
+            strength=np.array([model.strength for model in models]),
+            absolute=np.array([model.absolute for model in models]),
+            views=np.array([model.views for model in models]),
+            labels=np.array([model.labels for model in models]),
+        )
+
+
+def _load(path: Path) -> tuple[RidgePose, ...]:
+    try:
+        with path.open("rb") as file, zipfile.ZipFile(file):  # a lone .npy would load as an array
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as archive:
+                arrays = {name: archive[name] for name in archive.files}
+    except FileNotFoundError:
+        raise InputError(f"{path} not found: a pose model is made by fit_ridge and saved as .npz") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(f"{path} is not a pose model (.npz): {error}") from None
+    if str(arrays.get("format")) != _FORMAT:
+        raise InputError(f"{path} is not a pose model of the format {_FORMAT!r}")
+    outputs = 3 * len(JOINTS)
+    expected = {
+        "mean": (FEATURE_COUNT,), "scale": (FEATURE_COUNT,), "weights": (FEATURE_COUNT, outputs), "bias": (outputs,),
+        "strength": (), "absolute": (), "views": (), "labels": (),
+    }  # fmt: skip
+    count = len(np.atleast_1d(arrays.get("views", [])))
+    for name, shape in expected.items():
+        kind = {"labels": "U", "absolute": "b", "views": "i"}.get(name, "f")
+        if name not in arrays or arrays[name].shape != (count, *shape) or arrays[name].dtype.kind != kind:
+            raise InputError(f"{path}: {name} must have the shape {(count, *shape)} and a type of kind {kind!r}")
+    joints = tuple(np.atleast_1d(arrays.get("joints", [])).tolist())
+    if joints != JOINTS:
+        raise InputError(f"{path} predicts the joints {joints}, expected {JOINTS}")
+    numbers = {name: arrays[name].astype(np.float32) for name in ("mean", "scale", "weights", "bias")}
+    if not all(np.isfinite(array).all() for array in numbers.values()) or (numbers["scale"] <= 0).any():
+        raise InputError(f"{path} holds numbers that are not finite or scales that are not positive")
+    return tuple(
+        RidgePose(
+            **{name: array[i] for name, array in numbers.items()},
+            strength=float(arrays["strength"][i]),
+            joints=joints,
+            absolute=bool(arrays["absolute"][i]),
+            views=int(arrays["views"][i]),
+            labels=str(arrays["labels"][i]),
+        )
+        for i in range(count)
+    )

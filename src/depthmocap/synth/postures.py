@@ -1,0 +1,193 @@
+"""Where postures come from: clips of motion capture, or the packaged prior learnt from such clips."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.resources
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from depthmocap.body.model import BodyModel, Phenotype
+from depthmocap.body.posture import POSTURE_BONES, mirror_posture, turn_posture, world_rotations
+from depthmocap.errors import InputError
+from depthmocap.synth.mocap import Clip, read_clips, without_heading
+
+#: Bones above the pelvis, which recombination takes from another posture.
+_UPPER = np.array([i for i, name in enumerate(POSTURE_BONES) if name.partition(".")[0] not in
+                   ("pelvis", "thigh", "shin", "foot")])  # fmt: skip
+
+
+class PostureSource(Protocol):
+    """Anything that draws postures. The heading is uniform; ``group`` tells which clip (or component) one is from."""
+
+    def sample(self, rng: np.random.Generator) -> tuple[Float[ndarray, "20 3"], int]: ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Variation:
+    """How drawn postures are varied beyond what was recorded."""
+
+    mirror: float = 0.5
+    recombine: float = 0.0
+    noise_rad: float = 0.0
+
+
+#: For training: more postures than were recorded.
+TRAINING_VARIATION = Variation(mirror=0.5, recombine=0.25, noise_rad=0.06)
+
+
+def joint_positions(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n 20 3"]:
+    """Ends of unit bones laid along the postures: a cheap measure of how far apart two postures are (metres).
+
+    Every bone is a stick of typical length, so that a difference is about that of the joints of an adult.
+    """
+    lengths = {"pelvis": 0.0, "spine_low": 0.12, "spine_mid": 0.12, "spine_up": 0.16, "neck": 0.1, "head": 0.2,
+               "clavicle": 0.17, "upper_arm": 0.29, "forearm": 0.25, "hand": 0.15, "thigh": 0.42, "shin": 0.42,
+               "foot": 0.18}  # fmt: skip
+    from depthmocap.body.posture import POSTURE_PARENTS
+
+    world = world_rotations(postures)
+    ends = np.zeros((*postures.shape[:-1], 3))
+    for i, (name, parent) in enumerate(zip(POSTURE_BONES, POSTURE_PARENTS, strict=True)):
+        kind, _, side = name.partition(".")
+        out = -1.0 if side == "R" else 1.0
+        direction = {
+            "clavicle": [out, 0, 0], "upper_arm": [out * 0.75, 0, -0.66], "forearm": [out * 0.75, -0.3, -0.6],
+            "hand": [out * 0.7, -0.4, -0.6], "thigh": [0, 0, -1], "shin": [0, 0, -1], "foot": [0, -0.9, -0.4],
+        }.get(kind, [0, 0, 1])  # fmt: skip
+        start = ends[:, parent] if parent >= 0 else 0.0
+        ends[:, i] = start + world[:, i] @ (np.array(direction) * lengths[kind])
+    return ends
+
+
+def thin(postures: Float[ndarray, "n 20 3"], spacing_m: float) -> Int[ndarray, "m"]:
+    """Indices of frames whose joints are all at least once ``spacing_m`` from the last frame kept."""
+    if not len(postures):
+        return np.zeros(0, dtype=np.int64)
+    ends = joint_positions(postures)
+    kept = [0]
+    for i in range(1, len(ends)):
+        if np.abs(ends[i] - ends[kept[-1]]).max() > spacing_m:
+            kept.append(i)
+    return np.array(kept)
+
+
+class ClipPostures:
+    """Postures of motion capture clips, headings removed, thinned to what differs by ``spacing_m``.
+
+    Raises:
+        InputError: when no clip is left.
+    """
+
+    def __init__(
+        self, clips: Sequence[Clip], split: str, simple: bool, variation: Variation, spacing_m: float = 0.05
+    ) -> None:
+        chosen = [clip for clip in clips if clip.split == split and (clip.simple or not simple) and len(clip.postures)]
+        if not chosen:
+            kind = "walking or running " if simple else ""
+            raise InputError(f"no {kind}clips fall in the {split} split: give more clips or leave --postures out")
+        self.names = [clip.name for clip in chosen]
+        parts = [without_heading(clip.postures)[thin(clip.postures, spacing_m)] for clip in chosen]
+        self.postures = np.concatenate(parts).astype(np.float32)
+        self.groups = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+        self._variation = variation
+
+    def __len__(self) -> int:
+        return len(self.postures)
+
+    def sample(self, rng: np.random.Generator) -> tuple[Float[ndarray, "20 3"], int]:
+        """A posture with a random heading, and the index of its clip."""
+        index = int(rng.integers(len(self.postures)))
+        posture = self.postures[index].astype(np.float64)
+        if rng.random() < self._variation.recombine:
+            posture[_UPPER] = self.postures[rng.integers(len(self.postures))][_UPPER]
+        return _vary(posture, self._variation, rng), int(self.groups[index])
+
+
+def _vary(posture: Float[ndarray, "20 3"], variation: Variation, rng: np.random.Generator) -> Float[ndarray, "20 3"]:
+    if rng.random() < variation.mirror:
+        posture = mirror_posture(posture)
+    posture = posture + rng.normal(0, variation.noise_rad, posture.shape)
+    return turn_posture(posture, rng.uniform(-np.pi, np.pi))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PosturePrior:
+    """A Gaussian mixture over local joint rotations, fitted on training clips, with a second set of weights for
+    walking and running. Samples are bounded to what the components cover (2.5 deviations)."""
+
+    weights: Float[ndarray, "k"]
+    simple_weights: Float[ndarray, "k"]
+    means: Float[ndarray, "k 60"]
+    factors: Float[ndarray, "k 60 r"]
+    simple: bool = False
+    variation: Variation = Variation()
+
+    @classmethod
+    def load(cls, path: Path | None = None, simple: bool = False, variation: Variation = Variation()) -> PosturePrior:
+        """The packaged prior, or one of the user's.
+
+        Raises:
+            InputError: when the file is missing or not a prior.
+        """
+        source = path or importlib.resources.files("depthmocap.synth") / "posture_prior.npz"
+        try:
+            with source.open("rb") as handle, np.load(handle, allow_pickle=False) as data:
+                arrays = {
+                    name: data[name].astype(np.float64) for name in ("weights", "simple_weights", "means", "factors")
+                }
+        except (OSError, KeyError, ValueError) as error:
+            raise InputError(f"{source} is not a posture prior: {error}") from None
+        return cls(**arrays, simple=simple, variation=variation)
+
+    def sample(self, rng: np.random.Generator) -> tuple[Float[ndarray, "20 3"], int]:
+        """A posture with a random heading, and the component it is from."""
+        weights = self.simple_weights if self.simple else self.weights
+        component = int(rng.choice(len(weights), p=weights / weights.sum()))
+        latent = np.clip(rng.normal(size=self.factors.shape[2]), -2.5, 2.5) * 0.8
+        posture = (self.means[component] + self.factors[component] @ latent).reshape(-1, 3)
+        return _vary(posture, self.variation, rng), component
+
+
+def fit_prior(clips: Sequence[Clip], path: Path, components: int = 48, rank: int = 24, seed: int = 0) -> None:
+    """Fit the posture prior on the training clips and their mirror images, and save it (a few hundred kB).
+
+    Each component keeps the ``rank`` widest directions of its covariance.
+    """
+    from sklearn.mixture import GaussianMixture
+
+    train = [clip for clip in clips if clip.split == "train" and len(clip.postures)]
+    kept = [thin(clip.postures, 0.07) for clip in train]
+    postures = np.concatenate([without_heading(c.postures)[k] for c, k in zip(train, kept, strict=True)])
+    simple = np.concatenate([np.full(len(k), c.simple) for c, k in zip(train, kept, strict=True)])
+    data = np.concatenate([postures, mirror_posture(postures)]).reshape(-1, postures.shape[1] * 3)
+    mixture = GaussianMixture(components, covariance_type="full", reg_covar=1e-3, random_state=seed, max_iter=60)
+    mixture.fit(data)
+    simple_weights = mixture.predict_proba(data[np.concatenate([simple, simple])]).mean(0)
+    values, vectors = np.linalg.eigh(mixture.covariances_)
+    factors = vectors[:, :, -rank:] * np.sqrt(np.maximum(values[:, None, -rank:], 0))
+    np.savez_compressed(
+        path, weights=mixture.weights_.astype(np.float16), simple_weights=simple_weights.astype(np.float16),
+        means=mixture.means_.astype(np.float16), factors=factors.astype(np.float16),
+    )  # fmt: skip
+
+
+def load_clips(directory: Path) -> list[Clip]:
+    """All clips of a directory of BVH files."""
+    model = BodyModel.load()
+    rest = dict(zip(model.bone_names, model.shape(Phenotype()).rest_heads, strict=True))
+    return list(read_clips(directory, rest))
+
+
+def posture_source(
+    directory: Path | None, split: str, simple: bool = False, variation: Variation = Variation()
+) -> ClipPostures | PosturePrior:
+    """Clips of a directory where one is given, else the packaged prior."""
+    if directory is None:
+        return PosturePrior.load(simple=simple, variation=variation)
+    return ClipPostures(load_clips(directory), split, simple, variation)

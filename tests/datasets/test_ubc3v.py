@@ -1,0 +1,565 @@
+"""UBC3V: codecs, camera angles, reading what the writer wrote, and every way a section can be broken."""
+
+import dataclasses
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from PIL import Image
+from scipy.io import loadmat, savemat
+
+from depthmocap.body.regions import UBC3V_COLOURS
+from depthmocap.body.skeleton import JOINT_INDEX
+from depthmocap.datasets.ubc3v import (
+    KINECT2,
+    MAYA_JOINTS,
+    UNLABELLED,
+    Section,
+    camera_pose,
+    decode_depth,
+    decode_labels,
+    encode_depth,
+    encode_labels,
+    image_paths,
+    iterate,
+    kinect2_camera,
+    maya_angles,
+    sections,
+)
+from depthmocap.datasets.ubc3v_camera import RayTableCamera, load_ray_table
+from depthmocap.datasets.ubc3v_write import SectionWriter
+from depthmocap.errors import InputError
+from depthmocap.frames import View
+from depthmocap.geometry.transforms import is_rigid, look_at, transform_points
+
+HALF_STEP_M = 750 / 255 / 2 * 1.03 / 100 + 1e-6
+SHAPE = (424, 512)
+EYES = [(2.0, -2.5, 1.5), (-2.2, -1.0, 0.3), (0.5, 3.0, 2.6)]
+
+
+def make_views(rng, eyes=EYES, labels=True):
+    views = []
+    for k, eye in enumerate(eyes, 1):
+        mask = np.zeros(SHAPE, bool)
+        mask[150:250, 200:260] = True
+        depth = np.where(mask, rng.uniform(1.0, 5.0, SHAPE), 0).astype(np.float32)
+        regions = np.where(mask, rng.integers(1, 44, SHAPE), 0).astype(np.uint8)
+        regions[150, 200:210] = UNLABELLED
+        camera = kinect2_camera(f"Cam{k}", look_at(np.array(eye), np.array([0.1, 0.2, 1.0])))
+        views.append(View(camera, depth, mask, regions if labels else None))
+    return views
+
+
+def write_section(root, count=3, labels=True, section=1, split="train", seed=0):
+    rng = np.random.default_rng(seed)
+    samples = [(make_views(rng, labels=labels), rng.uniform(-1, 2, (18, 3))) for _ in range(count)]
+    with SectionWriter(root, "easy-pose", split, section) as writer:
+        for views, joints in samples:
+            writer.write(views, joints)
+    return writer.path, samples
+
+
+# Codecs
+
+
+def test_depth_round_trip():
+    rng = np.random.default_rng(1)
+    depth = rng.uniform(0.6, 8.2, SHAPE)
+    mask = rng.random(SHAPE) < 0.5
+    back, back_mask = decode_depth(encode_depth(depth, mask))
+    assert back.dtype == np.float32
+    assert (back_mask == mask).all()
+    assert (back[~mask] == 0).all()
+    assert np.abs(back - depth)[mask].max() <= HALF_STEP_M
+    again = encode_depth(back, mask)
+    assert (again == encode_depth(depth, mask)).all()
+
+
+def test_depth_clips_and_drops_invalid():
+    depth = np.array([[0.2, 9.0, 0.0, np.nan, 1.0]])
+    back, mask = decode_depth(encode_depth(depth, np.array([[True, True, True, True, False]])))
+    assert mask.tolist() == [[True, True, False, False, False]]
+    np.testing.assert_allclose(back[0, :2], [0.515, 8.24], rtol=1e-6)
+    assert decode_depth(encode_depth(depth, mask, 1.0), 1.0)[0][0, 0] == np.float32(0.5)
+
+
+def test_depth_reads_red_and_full_alpha_only():
+    rgba = np.array([[[255, 253, 250, 255], [255, 255, 255, 254]]], np.uint8)
+    depth, mask = decode_depth(rgba)
+    assert mask.tolist() == [[True, False]]
+    np.testing.assert_allclose(depth, [[8.24, 0]], rtol=1e-6)
+
+
+def test_labels_round_trip():
+    labels = np.array([[*range(44), UNLABELLED]], np.uint8)
+    rgba = encode_labels(labels)
+    assert (rgba[..., 3] == np.where(labels > 0, 255, 0)).all()
+    assert (rgba[0, 41] == [0, 0, 0, 255]).all()
+    assert (decode_labels(rgba) == labels).all()
+
+
+def test_labels_within_two_of_their_colour():
+    offsets = np.stack(np.meshgrid(*[[-2, 0, 2]] * 3), -1).reshape(-1, 3)
+    colours = np.clip(UBC3V_COLOURS[1:, None].astype(int) + offsets, 0, 255).astype(np.uint8)
+    rgba = np.concatenate([colours, np.full((*colours.shape[:2], 1), 255, np.uint8)], -1)
+    assert (decode_labels(rgba) == np.arange(1, 44)[:, None]).all()
+
+
+def test_labels_beyond_two_are_unlabelled():
+    rgba = np.zeros((1, 3, 4), np.uint8)
+    rgba[0, :, :3] = [[255, 109, 0], [3, 0, 0], [255, 255, 255]]  # 1 and 41 missed by one; no region is white
+    rgba[0, :, 3] = 255
+    assert decode_labels(rgba).tolist() == [[UNLABELLED] * 3]
+    rgba[0, :, 3] = 254
+    assert decode_labels(rgba).tolist() == [[0] * 3]
+
+
+def test_labels_reject_unknown():
+    with pytest.raises(ValueError, match="0 to 43"):
+        encode_labels(np.full((2, 2), 44, np.uint8))
+
+
+def test_decoding_labels_is_fast():
+    labels = np.random.default_rng(0).integers(0, 44, SHAPE).astype(np.uint8)
+    labels[:, :256] = 0
+    rgba = encode_labels(labels)
+    best = np.inf
+    for _ in range(10):
+        start = time.perf_counter()
+        decode_labels(rgba)
+        best = min(best, time.perf_counter() - start)
+    assert best < 0.05  # about 4 ms on an idle core; wide, for busy machines
+
+
+# Camera angles
+
+coordinate = st.one_of(st.just(0.0), st.just(-0.0), st.floats(-6, 6).filter(lambda x: x == 0 or abs(x) > 1e-6))
+
+
+@settings(deadline=None, max_examples=300)
+@given(coordinate, coordinate, st.floats(-3, 3), coordinate, coordinate, st.floats(-1, 2))
+@example(0.0, 0.0, 3.0, 0.0, 0.0, 1.0)  # straight down, no azimuth
+@example(0.0, 0.0, -3.0, 0.0, 0.0, 1.0)  # straight up
+@example(0.0, 3.0, 1.0, 0.0, 0.0, 1.0)  # on each axis, level
+@example(0.0, -3.0, 1.0, 0.0, 0.0, 1.0)
+@example(3.0, 0.0, 1.0, 0.0, 0.0, 1.0)
+@example(-3.0, 0.0, 1.0, 0.0, 0.0, 1.0)
+@example(2.0, 2.0, 1.0, 4.0, 4.0, 1.0)  # looks away from the origin
+def test_camera_angles_round_trip(x, y, z, to_x, to_y, to_z):
+    eye, target = np.array([x, y, z]), np.array([to_x, to_y, to_z])
+    if np.linalg.norm(target - eye) < 1e-3:
+        return
+    pose = look_at(eye, target)
+    translate, rotate = maya_angles(pose)
+    np.testing.assert_allclose(camera_pose(translate, rotate), pose, atol=1e-9)
+    np.testing.assert_allclose(maya_camera(translate, rotate), pose, atol=1e-9)
+
+
+@pytest.mark.parametrize("x", [-2.0, 2.0])
+@pytest.mark.parametrize("y", [-2.0, 2.0])
+@pytest.mark.parametrize("z", [-1.0, 1.0, 3.0])
+def test_camera_angles_all_quadrants(x, y, z):
+    for yaw in np.radians(np.arange(0, 360, 15)):
+        for pitch in (-1.2, -0.3, 0.0, 0.3, 1.2):
+            direction = np.array([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch), np.sin(pitch)])
+            pose = look_at(np.array([x, y, z]), np.array([x, y, z]) + direction)
+            np.testing.assert_allclose(camera_pose(*maya_angles(pose)), pose, atol=1e-9)
+
+
+def maya_camera(translate_cm, rotate_deg):
+    """The pose by Maya's own definition: Euler order xyz, the camera looks along -z, y up."""
+    (a, b, c), (d, e, f) = np.cos(np.radians(rotate_deg)), np.sin(np.radians(rotate_deg))
+    rx = np.array([[1, 0, 0], [0, a, -d], [0, d, a]])
+    ry = np.array([[b, 0, e], [0, 1, 0], [-e, 0, b]])
+    rz = np.array([[c, -f, 0], [f, c, 0], [0, 0, 1]])
+    z_up = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    pose = np.eye(4)
+    pose[:3, :3] = z_up @ rz @ ry @ rx @ np.diag([1, -1, -1])
+    pose[:3, 3] = z_up @ translate_cm / 100
+    return pose
+
+
+@pytest.mark.parametrize(
+    ("translate", "rotate"),
+    [  # Maya's angles of cameras that look down at the origin: rotate z is 180 where z < 0
+        ((200.0, 100.0, 300.0), (-15.503, 33.690, 0.0)),
+        ((-200.0, 100.0, 300.0), (-15.503, -33.690, 0.0)),
+        ((200.0, 100.0, -300.0), (180 - 15.503, 33.690, 180.0)),
+        ((-200.0, 100.0, -300.0), (180 - 15.503, -33.690, 180.0)),
+    ],
+)
+def test_pose_of_maya_look_at_angles(translate, rotate):
+    x, y, z = translate
+    expected = look_at(np.array([x, -z, y]) / 100, np.zeros(3))
+    pose = camera_pose(np.array(translate), np.array(rotate))
+    assert is_rigid(pose)
+    np.testing.assert_allclose(pose, expected, atol=1e-4)
+    np.testing.assert_allclose(maya_camera(np.array(translate), np.array(rotate)), expected, atol=1e-4)
+
+
+def test_pose_sign_tests_are_strict():
+    def heading(translate, rotate):
+        return camera_pose(np.array(translate), np.array(rotate))[:3, 2]
+
+    # Zero: 0 <= 0 is not flipped; a zero product takes the second branch; rotate y of 0 counts as not negative.
+    np.testing.assert_allclose(heading([0.0, 0.0, 300.0], [0.0, 0.0, 0.0]), [0, -1, 0], atol=1e-12)
+    np.testing.assert_allclose(heading([1.0, 0.0, 300.0], [0.0, 0.0, 0.0]), [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(heading([0.0, 0.0, 300.0], [0.0, -90.0, 0.0]), [1, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(heading([0.0, 0.0, 300.0], [0.0, 90.0, 0.0]), [-1, 0, 0], atol=1e-12)
+
+
+def test_roll_cannot_be_stored():
+    eye, target = np.array([2.0, 1.0, 1.0]), np.zeros(3)
+    with pytest.raises(ValueError, match="roll"):
+        maya_angles(look_at(eye, target, roll_rad=0.01))
+    maya_angles(look_at(eye, target, roll_rad=1e-4))
+    upside_down = look_at(eye, target, roll_rad=np.pi)  # its x axis is level
+    np.testing.assert_allclose(camera_pose(*maya_angles(upside_down)), upside_down, atol=1e-9)
+    with pytest.raises(ValueError, match="rotation and a translation"):
+        maya_angles(np.eye(4) * 2)
+
+
+# Writing and reading
+
+
+def test_section_round_trip(tmp_path):
+    path, samples = write_section(tmp_path)
+    section = Section(path)
+    assert (len(section), section.up) == (3, "z")
+    frames = list(section)
+    assert [frame.timestamp_ns for frame in frames] == [0, 33333333, 66666667]
+    for frame, (views, joints) in zip(frames, samples, strict=True):
+        assert frame.true_joints is not None
+        np.testing.assert_allclose(frame.true_joints, joints, atol=1e-9)
+        assert [view.camera.name for view in frame.views] == ["Cam1", "Cam2", "Cam3"]
+        for view, written in zip(frame.views, views, strict=True):
+            assert view.mask is not None
+            assert (view.mask == written.mask).all()
+            assert view.labels is not None
+            assert (view.labels == written.labels).all()
+            assert np.abs(view.depth_m - written.depth_m).max() <= HALF_STEP_M
+            np.testing.assert_allclose(view.camera.world_from_camera, written.camera.world_from_camera, atol=1e-9)
+    assert section[-1].timestamp_ns == frames[2].timestamp_ns
+    with pytest.raises(IndexError):
+        section[3]
+
+
+def test_points_keep_their_place_in_the_world(tmp_path):
+    """A person at known world points is found there again, from each camera's pixels."""
+    rng = np.random.default_rng(3)
+    points = rng.uniform([-0.4, -0.4, 0.3], [0.4, 0.4, 1.7], (200, 3))
+    views = []
+    for k, eye in enumerate(EYES, 1):
+        camera = kinect2_camera(f"Cam{k}", look_at(np.array(eye), np.array([0.0, 0.0, 1.0])))
+        depth = np.zeros(SHAPE, np.float32)
+        u, v, z = camera.project(points).T
+        inside = (u > 0) & (u < 511) & (v > 0) & (v < 423)
+        assert inside.mean() > 0.8
+        depth[v[inside].round().astype(int), u[inside].round().astype(int)] = z[inside]
+        views.append(View(camera, depth))
+    with SectionWriter(tmp_path, "easy-pose", "test", 7) as writer:
+        writer.write(views, np.zeros((18, 3)))
+    for view in Section(writer.path)[0].views:
+        found = transform_points(view.camera.world_from_camera, view.camera.unproject(view.depth_m, view.mask))
+        nearest = np.linalg.norm(found[:, None] - points, axis=-1).min(1)
+        assert len(found) > 150
+        assert nearest.max() < 0.03  # half a depth step and half a pixel
+
+
+def test_layout_of_groundtruth(tmp_path):
+    path, samples = write_section(tmp_path, count=2)
+    mat = loadmat(path / "groundtruth.mat", struct_as_record=False)
+    assert mat["joints"].dtype == object
+    assert mat["joints"].shape == (1, 2)
+    joints = mat["joints"][0, 1][0, 0]
+    assert joints._fieldnames == sorted(joints._fieldnames)
+    assert len(joints._fieldnames) == 28
+    for name, maya in MAYA_JOINTS.items():
+        matrix = getattr(joints, maya)
+        assert matrix.shape == (1, 16)
+        x, y, z = samples[1][1][JOINT_INDEX[name]] * 100
+        np.testing.assert_allclose(matrix[0, 12:15], [x, z, -y])
+    frames = mat["cameras"][0, 0].Cam2[0, 0].frames
+    assert frames.shape == (1, 2)
+    assert frames[0, 0][0, 0].translate.shape == (1, 3)
+    assert frames[0, 0][0, 0].rotate.shape == (1, 3)
+    with Image.open(image_paths(path, "Cam1", 1)[0]) as image:
+        assert (image.mode, image.size) == ("RGBA", (512, 424))
+    assert image_paths(path, "Cam1", 1)[0].name == "mayaProject.000002.png"
+
+
+def test_single_frame_without_labels(tmp_path):
+    path, samples = write_section(tmp_path, count=1, labels=False)
+    (frame,) = Section(path)
+    for view, written in zip(frame.views, samples[0][0], strict=True):
+        assert view.labels is None
+        assert view.mask is not None
+        assert (view.mask == written.mask).all()
+
+
+def test_mask_without_depth_and_person_without_label(tmp_path):
+    (view, *_) = make_views(np.random.default_rng(0))
+    view.depth_m[160, 210] = 0
+    view.labels[161, 210] = 0
+    with SectionWriter(tmp_path, "s", "test", 1) as writer:
+        writer.write([view], np.zeros((18, 3)))
+    (back,) = Section(writer.path)[0].views
+    assert (back.mask == view.mask).all()
+    assert back.depth_m[160, 210] == 0
+    assert back.labels[161, 210] == UNLABELLED
+
+
+def test_missing_views(tmp_path):
+    path, samples = write_section(tmp_path, count=2)
+    image_paths(path, "Cam2", 0)[0].unlink()
+    assert [view.camera.name for view in Section(path)[0].views] == ["Cam1", "Cam3"]
+    assert [view.camera.name for view in Section(path, cameras=["Cam3"])[0].views] == ["Cam3"]
+    with SectionWriter(tmp_path, "easy-pose", "train", 1) as writer:  # a camera that failed and one that joined
+        _, second, third = samples[0][0]
+        fourth = dataclasses.replace(third, camera=dataclasses.replace(third.camera, name="Cam4"))
+        writer.write([second, fourth], samples[0][1])
+    section = Section(path, cameras=["Cam1", "Cam2", "Cam3", "Cam4"])
+    assert [[view.camera.name for view in frame.views] for frame in section] == [
+        ["Cam1", "Cam3"],
+        ["Cam1", "Cam2", "Cam3"],
+        ["Cam2", "Cam4"],
+    ]
+
+
+def test_resume(tmp_path, monkeypatch):
+    monkeypatch.setattr("depthmocap.datasets.ubc3v_write._SAVE_EVERY", 2)
+    rng = np.random.default_rng(0)
+    samples = [(make_views(rng, EYES[:1]), rng.uniform(-1, 1, (18, 3))) for _ in range(4)]
+    interrupted = SectionWriter(tmp_path, "easy-pose", "train", 1)
+    for views, joints in samples[:3]:
+        interrupted.write(views, joints)
+    assert len(interrupted) == 3
+    path = interrupted.path
+    assert len(Section(path)) == 2  # the third was never recorded, though its image lies there
+    with SectionWriter(tmp_path, "easy-pose", "train", 1) as writer:
+        assert len(writer) == 2
+        for views, joints in samples[2:]:
+            writer.write([dataclasses.replace(views[0], labels=None)], joints)
+    section = Section(path)
+    assert len(section) == 4
+    assert not list(path.glob("*.part"))
+    assert [frame.views[0].labels is None for frame in section] == [False, False, True, True]
+    for frame, (views, joints) in zip(section, samples, strict=True):
+        np.testing.assert_allclose(frame.true_joints, joints, atol=1e-9)
+        camera, written = frame.views[0].camera, views[0].camera
+        np.testing.assert_allclose(camera.world_from_camera, written.world_from_camera, atol=1e-9)
+
+
+def test_writer_keeps_what_was_done_when_interrupted(tmp_path):
+    rng = np.random.default_rng(0)
+    with pytest.raises(KeyboardInterrupt), SectionWriter(tmp_path, "easy-pose", "train", 1) as writer:
+        writer.write(make_views(rng, EYES[:1]), np.zeros((18, 3)))
+        raise KeyboardInterrupt
+    assert len(Section(writer.path)) == 1
+
+
+def test_writer_rejects_what_the_format_cannot_hold(tmp_path, monkeypatch):
+    (view,) = make_views(np.random.default_rng(0), EYES[:1])
+    joints = np.zeros((18, 3))
+    writer = SectionWriter(tmp_path, "easy-pose", "train", 1)
+
+    def changed(**values):
+        return dataclasses.replace(view, camera=dataclasses.replace(view.camera, **values))
+
+    for views, message in [
+        ([], "named Cam1"),
+        ([view, view], "each once"),
+        ([changed(name="left")], "named Cam1"),
+        ([changed(fx=500.0)], "intrinsics"),
+        ([changed(distortion=(0.1, 0.0, 0.0, 0.0, 0.0))], "intrinsics"),
+        ([changed(world_from_camera=look_at(np.ones(3), np.zeros(3), 0.3))], "roll"),
+        ([View(view.camera, np.ones((4, 5)))], "images must be"),
+        ([dataclasses.replace(view, labels=np.full(SHAPE, 50, np.uint8))], "0 to 43"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            writer.write(views, joints)
+    with pytest.raises(ValueError, match="finite"):
+        writer.write([view], np.full((18, 3), np.nan))
+    assert len(writer) == 0
+    writer.close()
+    assert not (writer.path / "groundtruth.mat").exists()
+    monkeypatch.setattr("depthmocap.datasets.ubc3v_write.FRAMES_PER_SECTION", 1)
+    writer.write([view], joints)
+    assert writer.full
+    with pytest.raises(ValueError, match="full"):
+        writer.write([view], joints)
+
+
+# Finding sections
+
+
+def test_sections_and_iterate(tmp_path):
+    for number in (10, 9, 1):
+        write_section(tmp_path, count=2, section=number, seed=number)
+    (tmp_path / "easy-pose" / "train" / "notes").mkdir()
+    assert [path.name for path in sections(tmp_path, "easy-pose", "train")] == ["1", "9", "10"]
+    assert [len(list(iterate(tmp_path, "easy-pose", "train", limit))) for limit in (None, 3, 2, 0)] == [6, 3, 2, 0]
+
+
+def test_sections_say_what_is_missing(tmp_path):
+    with pytest.raises(InputError, match=r"nowhere not found: expected ROOT/<subset>"):
+        sections(tmp_path / "nowhere", "easy-pose", "train")
+    (tmp_path / "hard-pose" / "train").mkdir(parents=True)
+    with pytest.raises(InputError, match=r"easy-pose not found.*holds hard-pose"):
+        sections(tmp_path, "easy-pose", "train")
+    with pytest.raises(InputError, match=r"valid not found.*holds train"):
+        sections(tmp_path, "hard-pose", "valid")
+    with pytest.raises(InputError, match="no numbered sections"):
+        sections(tmp_path, "hard-pose", "train")
+
+
+# Broken sections
+
+
+def test_broken_images(tmp_path):
+    path, _ = write_section(tmp_path, count=1)
+    depth, labels = image_paths(path, "Cam1", 0)
+    whole = depth.read_bytes()
+    for damage, message in [(whole[: len(whole) // 2], "damaged"), (b"", "damaged"), (b"not a PNG", "damaged")]:
+        depth.write_bytes(damage)
+        with pytest.raises(InputError, match=message) as caught:
+            Section(path)[0]
+        assert str(depth) in str(caught.value)
+    Image.new("RGBA", (64, 64)).save(depth)
+    with pytest.raises(InputError, match="got RGBA 64×64"):
+        Section(path)[0]
+    Image.new("RGB", (512, 424)).save(depth)
+    with pytest.raises(InputError, match="got RGB 512×424"):
+        Section(path)[0]
+    depth.write_bytes(whole)
+    labels.write_bytes(labels.read_bytes()[:300])
+    with pytest.raises(InputError, match="damaged"):
+        Section(path)[0]
+
+
+def test_broken_groundtruth(tmp_path):
+    path, _ = write_section(tmp_path, count=2)
+    truth = path / "groundtruth.mat"
+    whole = truth.read_bytes()
+    truth.unlink()
+    with pytest.raises(InputError, match="not found"):
+        Section(path)
+    for damage in (whole[: len(whole) // 2], b"", b"text " * 100):
+        truth.write_bytes(damage)
+        with pytest.raises(InputError, match=r"groundtruth\.mat"):
+            Section(path)
+
+    pose = {"translate": np.zeros(3), "rotate": np.zeros(3)}
+    joint = {maya: np.eye(4).ravel() for maya in MAYA_JOINTS.values()}
+    camera = {"frames": cells(pose)}
+    for document, message in [
+        ({"joints": cells(joint)}, "no variable cameras"),
+        ({"cameras": {"Cam1": camera}}, "no variable joints"),
+        ({"cameras": {"Cam1": camera}, "joints": cells({"HeadPGX": np.zeros(16)})}, "has no field Neck1PGX"),
+        ({"cameras": {"Cam1": camera}, "joints": cells(joint | {"HeadPGX": np.zeros(3)})}, "must hold 16 numbers"),
+        ({"cameras": {"Cam1": camera}, "joints": cells(joint | {"HeadPGX": "text"})}, "not numeric"),
+        ({"cameras": {"Cam1": camera}, "joints": cells(joint, joint)}, "2 joints but 1 frames"),
+        ({"cameras": {"Cam1": {"other": 1}}, "joints": cells(joint)}, "no field frames"),
+        ({"cameras": {"Cam1": {"frames": cells({"rotate": 1})}}, "joints": cells(joint)}, "no field translate"),
+        ({"cameras": {"Cam9": camera}, "joints": cells(joint)}, "has no camera Cam1.*it has Cam9"),
+        ({"cameras": 3, "joints": cells(joint)}, "it has none"),
+    ]:
+        savemat(truth, document)
+        with pytest.raises(InputError, match=message) as caught:
+            Section(path)
+        assert str(truth) in str(caught.value)
+
+
+def cells(*items):
+    array = np.empty((1, len(items)), dtype=object)
+    array[0] = items
+    return array
+
+
+def test_no_images(tmp_path):
+    path, _ = write_section(tmp_path, count=1)
+    (path / "images" / "depthRender").rename(path / "images" / "elsewhere")
+    with pytest.raises(InputError, match="unpack the depth images"):
+        Section(path)
+
+
+def test_matrices_and_integers_as_matlab_may_store_them(tmp_path):
+    """A 4×4 joint matrix with the position in its last column, and a whole-numbered pose kept as integers."""
+    path, _ = write_section(tmp_path, count=1)
+    matrix = np.eye(4)
+    matrix[:3, 3] = 100, 200, 300
+    pose = {"translate": np.array([100, 200, 300], np.int16), "rotate": np.zeros(3, np.uint8)}
+    document = {
+        "cameras": {"Cam1": {"frames": cells(pose)}},
+        "joints": cells(dict.fromkeys(MAYA_JOINTS.values(), matrix)),
+    }
+    savemat(path / "groundtruth.mat", document)
+    (frame,) = Section(path)
+    np.testing.assert_allclose(frame.true_joints, np.tile([1.0, -3.0, 2.0], (18, 1)))
+    np.testing.assert_allclose(frame.views[0].camera.world_from_camera[:3, 3], [1.0, -3.0, 2.0])
+
+
+# The ray table
+
+
+def bent_rays():
+    """Rays of a lens with a Kinect 2's distortion: x/z right and y/z down."""
+    return dataclasses.replace(KINECT2, distortion=(0.09, -0.27, 0.0, 0.0, 0.09)).rays.astype(np.float64)
+
+
+def save_table(path: Path, rays, kind="image"):
+    left, up = -rays[..., 0], -rays[..., 1]
+    mapper = {"xmap": left, "ymap": up} if kind == "maps" else {"x": left[:, ::-1], "y": up}
+    savemat(path, {"mapper": mapper}, do_compression=True)
+
+
+@pytest.mark.parametrize("kind", ["image", "maps"])
+def test_ray_table(tmp_path, kind):
+    rays = bent_rays()
+    rays[:5, :5] = -np.inf  # a sensor's own table may have no rays in the corners
+    save_table(tmp_path / "mapper.mat", rays, kind)
+    path, samples = write_section(tmp_path, count=1)
+    view = Section(path, ray_table=tmp_path / "mapper.mat")[0].views[0]
+    camera = view.camera
+    assert isinstance(camera, RayTableCamera)
+    assert camera.name == "Cam1"
+    np.testing.assert_allclose(camera.rays[5:], rays[5:], atol=1e-6)
+    np.testing.assert_allclose(camera.rays[:5, :5], bent_rays()[:5, :5], atol=0.01)  # filled
+    np.testing.assert_allclose(camera.world_from_camera, samples[0][0][0].camera.world_from_camera, atol=1e-9)
+
+    v, u = (axis.ravel() for axis in np.mgrid[0:424:25, 0:512:25])
+    points = np.concatenate([camera.rays[v, u], np.ones((len(u), 1))], 1) * 2.5
+    world = transform_points(camera.world_from_camera, points)
+    np.testing.assert_allclose(camera.project(world), np.stack([u, v, np.full(len(u), 2.5)], 1), atol=0.02)
+    behind = camera.project(transform_points(camera.world_from_camera, -points[:1]))
+    assert np.isnan(behind[0, :2]).all()
+
+
+def test_ray_table_of_pixel_structs(tmp_path, monkeypatch):
+    """A struct for each pixel, on a small sensor: a full table takes seconds to write."""
+    small = dataclasses.replace(KINECT2, width=8, height=6, cx=3.6, cy=2.4)
+    monkeypatch.setattr("depthmocap.datasets.ubc3v_camera.KINECT2", small)
+    mapper = np.empty((6, 8), dtype=[("x", object), ("y", object)])
+    mapper["x"], mapper["y"] = -small.rays[:, ::-1, 0], -small.rays[..., 1]
+    savemat(tmp_path / "mapper.mat", {"mapper": mapper})
+    np.testing.assert_allclose(load_ray_table(tmp_path / "mapper.mat").rays, small.rays, atol=1e-7)
+
+
+def test_broken_ray_tables(tmp_path):
+    path = tmp_path / "mapper.mat"
+    with pytest.raises(InputError, match="not found"):
+        load_ray_table(path)
+    path.write_bytes(b"text")
+    with pytest.raises(InputError, match="not a readable"):
+        load_ray_table(path)
+    for document in ({"other": np.zeros(3)}, {"mapper": {"x": np.zeros((4, 4)), "y": np.zeros((4, 4))}}):
+        savemat(path, document)
+        with pytest.raises(InputError, match="holds no struct"):
+            load_ray_table(path)
+    for rays in (-bent_rays(), np.full((*SHAPE, 2), np.nan)):
+        save_table(path, rays)
+        with pytest.raises(InputError, match="wrong way"):
+            load_ray_table(path)
