@@ -1,0 +1,48 @@
+"""Real-time markerless human motion capture from several depth cameras.
+
+    import depthmocap
+
+    pipeline = depthmocap.load_pipeline("recording")
+    for frames in depthmocap.open_source("recording"):
+        pose = pipeline(frames).pose
+
+Importing this loads neither torch nor a camera SDK; heavier parts are loaded on first use.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from depthmocap.errors import InputError
+from depthmocap.frames import FrameSet, Pose, View
+from depthmocap.geometry import DepthCamera, Rig, load_rig, save_rig
+
+if TYPE_CHECKING:
+    from depthmocap.body.skeleton import JOINTS as JOINTS
+    from depthmocap.capture.recording import Recording as Recording
+    from depthmocap.pipeline import Pipeline as Pipeline
+    from depthmocap.run import RunSettings as RunSettings
+    from depthmocap.run import load_pipeline as load_pipeline
+    from depthmocap.run import open_source as open_source
+    from depthmocap.run import run as run
+
+__version__ = "0.1.0"
+
+_LAZY = {
+    "JOINTS": "depthmocap.body.skeleton",
+    "Pipeline": "depthmocap.pipeline",
+    "Recording": "depthmocap.capture.recording",
+    "RunSettings": "depthmocap.run",
+    "load_pipeline": "depthmocap.run",
+    "open_source": "depthmocap.run",
+    "run": "depthmocap.run",
+}
+
+__all__ = ["DepthCamera", "FrameSet", "InputError", "Pose", "Rig", "View", "load_rig", "save_rig", *_LAZY]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        return getattr(importlib.import_module(_LAZY[name]), name)
+    raise AttributeError(f"module 'depthmocap' has no attribute {name!r}")

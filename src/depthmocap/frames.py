@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
@@ -40,6 +40,7 @@ class Pose:
     confidence: Float[ndarray, "18"]
 
 
+@runtime_checkable
 class FrameSource(Protocol):
     """A recording or any other sequence of frame sets. ``up`` is the world's up axis: "z", "y" or "-y"."""
 

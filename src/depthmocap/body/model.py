@@ -1,8 +1,8 @@
 """Human bodies of any build: shape, then pose, then mesh, joints and region labels. Wraps Anny (extra: train).
 
-    model = BodyModel.load()
-    body = model.shape(Phenotype(age=0.6))
-    posed = body.pose(posture)
+model = BodyModel.load()
+body = model.shape(Phenotype(age=0.6))
+posed = body.pose(posture)
 """
 
 from __future__ import annotations

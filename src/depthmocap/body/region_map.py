@@ -64,7 +64,7 @@ def face_regions(
     return out
 
 
-def _torso(points, x, y, z, right, below_crown, stature, heads, out) -> None:  # noqa: ANN001
+def _torso(points, x, y, z, right, below_crown, stature, heads, out) -> None:
     shoulder, hip = heads["upperarm01.L"], heads["upperleg01.L"]
     # The side seam: through the shoulder joint above, the widest point of the trunk below.
     waist = np.abs(below_crown - 0.40) < 0.02
@@ -86,7 +86,7 @@ def _torso(points, x, y, z, right, below_crown, stature, heads, out) -> None:  #
     _sided(~front & wide & (below_crown < _ARMPIT), right, "shoulder back", out)
 
 
-def _head_and_neck(points, x, y, z, right, head, neck, crown, heads, out) -> None:  # noqa: ANN001
+def _head_and_neck(points, x, y, z, right, head, neck, crown, heads, out) -> None:
     eye, skull = heads["eye.L"], heads["head"]
     brow = eye[2] + 0.022
     height = crown - brow
@@ -106,7 +106,7 @@ def _head_and_neck(points, x, y, z, right, head, neck, crown, heads, out) -> Non
     out[neck & (forward < 0) & (z < heads["neck01"][2] + 0.015) & (x < 0.05)] = REGION["nape"]
 
 
-def _legs(points, x, y, z, right, leg, stature, vertices, heads, out) -> None:  # noqa: ANN001
+def _legs(points, x, y, z, right, leg, stature, vertices, heads, out) -> None:
     hip, knee, ankle = (heads[f"{bone}.L"] for bone in ("upperleg01", "lowerleg01", "foot"))
     mid = np.abs(vertices[:, 0]) < 0.01
     groin = float(vertices[mid & (vertices[:, 2] < hip[2] + 0.05), 2].min())
@@ -132,7 +132,7 @@ def _legs(points, x, y, z, right, leg, stature, vertices, heads, out) -> None:  
     _sided(at_ankle & (z < ankle[2] + 0.02) & (y < ankle[1] + 0.38 * (toe - ankle[1])), right, "forefoot", out)
 
 
-def _arms(points, y, right, arm, bones, stature, heads, out) -> None:  # noqa: ANN001
+def _arms(points, y, right, arm, bones, stature, heads, out) -> None:
     shoulder, elbow, wrist = (heads[f"{bone}.L"] for bone in ("upperarm01", "lowerarm01", "wrist"))
     left_points = np.stack([np.abs(points[:, 0]), points[:, 1], points[:, 2]], -1)
     lower_length, upper_length = np.linalg.norm(elbow - wrist), np.linalg.norm(shoulder - elbow)

@@ -163,13 +163,13 @@ class Recording:
         if not ((raw > 0) & (raw < SATURATED)).any():
             self._note(f"{path} has no valid depth (all 0 or {SATURATED}): was the camera covered?")
             return None
-        return View(camera, camera.to_metres(raw.astype(np.int32)))
+        return View(camera, camera.to_metres(raw))
 
     def _read_background(self, name: str) -> Float[ndarray, "h w"] | None:
         path = self.path / name / BACKGROUND_FILE
         if not path.exists():
             return None
-        depth_m = self.rig[name].to_metres(read_depth_png(path, self.rig[name]).astype(np.int32))
+        depth_m = self.rig[name].to_metres(read_depth_png(path, self.rig[name]))
         if not depth_m.any():
             raise InputError(f"{path} has no valid depth: record the empty scene again, or delete it")
         return depth_m

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import collections
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -47,11 +47,6 @@ _FAR = np.float32(1e6)
 _BOX = np.ones((3, 3), np.uint8)
 
 
-@runtime_checkable
-class _Source(FrameSource, Protocol):
-    """A frame source whose type can be checked while testing."""
-
-
 class PersonSegmenter:
     """Marks the person's pixels in the views of cameras that stand still.
 
@@ -70,7 +65,7 @@ class PersonSegmenter:
         self._limits = {name: _limit_m(background_m) for name, background_m in backgrounds_m.items()}
 
     @classmethod
-    def from_recording(cls, source: _Source, mode: Mode = "auto") -> PersonSegmenter:
+    def from_recording(cls, source: FrameSource, mode: Mode = "auto") -> PersonSegmenter:
         """Learn the empty scene of every camera that needs it, from its background frame or from the recording.
 
         A source may offer ``background(name)`` (see ``Recording``), and ``source[i]`` for speed; without the latter it
@@ -159,12 +154,12 @@ def estimate_background(samples_m: Sequence[Float[ndarray, "_ _"]]) -> Float[nda
     return background.reshape(height, width).astype(np.float32)
 
 
-def _camera_names(source: _Source) -> tuple[str, ...]:
+def _camera_names(source: FrameSource) -> tuple[str, ...]:
     rig = getattr(source, "rig", None)
     return rig.names if rig is not None else ()
 
 
-def _spread(source: _Source, count: int) -> Iterator[FrameSet]:
+def _spread(source: FrameSource, count: int) -> Iterator[FrameSet]:
     """At most ``count`` frame sets, evenly spread over the source."""
     wanted = sorted({int(i) for i in np.linspace(0, max(len(source) - 1, 0), count)})[: len(source)]
     get_item: Any = getattr(source, "__getitem__", None)

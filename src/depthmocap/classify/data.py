@@ -102,4 +102,3 @@ def _occluder(shape: tuple[int, ...], rng: np.random.Generator) -> ndarray:
     size = (float(rng.uniform(0.05, 0.35) * width), float(rng.uniform(0.1, 0.7) * height))
     corners = cv2.boxPoints((centre, size, float(rng.uniform(0, 180)))).astype(np.int32)
     return cv2.fillConvexPoly(np.zeros((height, width), np.uint8), corners, 1).astype(bool)
-

@@ -44,9 +44,7 @@ class FastNet(nn.Module):
             blocks = [_Residual(widths[i]) for _ in range(depths[i])]
             levels.append(nn.Sequential(_block(widths[i - 1], widths[i], 2), *blocks))
         self.down = nn.ModuleList(levels)
-        self.lateral = nn.ModuleList(
-            nn.Conv2d(widths[i + 1], widths[i], 1, bias=False) for i in range(len(widths) - 1)
-        )
+        self.lateral = nn.ModuleList(nn.Conv2d(widths[i + 1], widths[i], 1, bias=False) for i in range(len(widths) - 1))
         self.up = nn.ModuleList(
             _Residual(widths[i]) if i > 1 else _block(widths[i], widths[i]) for i in range(len(widths) - 1)
         )

@@ -73,9 +73,7 @@ class _SynthWindows(torch.utils.data.Dataset):  # type: ignore[type-arg]
         return 1 << 40
 
     def __getitem__(self, index: int) -> tuple[ndarray, ndarray]:
-        return training_window(
-            self.settings.seed, self.first + index, self.settings.subset, self.postures, Spoiling()
-        )
+        return training_window(self.settings.seed, self.first + index, self.settings.subset, self.postures, Spoiling())
 
 
 class _FolderWindows(torch.utils.data.Dataset):  # type: ignore[type-arg]

@@ -10,7 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, UInt16
 from numpy import ndarray
 
 from depthmocap.errors import InputError
@@ -78,7 +78,7 @@ class DepthCamera:
         uvz[..., :2][z <= 0] = np.nan
         return uvz
 
-    def to_metres(self, raw: Int[ndarray, "h w"]) -> Float[ndarray, "h w"]:
+    def to_metres(self, raw: UInt16[ndarray, "h w"]) -> Float[ndarray, "h w"]:
         """Raw sensor depth in metres (float32). Raw 0 stays 0, invalid; so does the saturated 65535."""
         return np.where(raw == 65535, 0, raw).astype(np.float32) * np.float32(self.depth_unit_m)
 
@@ -116,7 +116,7 @@ def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
         unit = float(entry.get("depth_unit_m", 0.001))
         distortion = [float(k) for k in entry.get("distortion", [0.0] * 5)]
         pose = np.array(entry["world_from_camera"], dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{where} has a value that is not a number: {error}") from None
     if min(width, height) < 1 or min(numbers["fx"], numbers["fy"], unit) <= 0:
         raise InputError(f"{where}: width, height, fx, fy and depth_unit_m must be positive")
@@ -148,6 +148,8 @@ def load_rig(path: Path) -> Rig:
         document = json.loads(path.read_text())
     except FileNotFoundError:
         raise InputError(f"{path} not found: a recording needs a rig.json that describes its cameras") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path} is not valid JSON: {error}") from None
     entries = document.get("cameras") if isinstance(document, dict) else None
@@ -159,7 +161,7 @@ def load_rig(path: Path) -> Rig:
         raise InputError(f"{path}: camera names must differ, got {names}")
     up = document.get("up", "z")
     if up not in ("z", "y", "-y"):
-        raise InputError(f"{path}: up must be \"z\", \"y\" or \"-y\", not {up!r}")
+        raise InputError(f'{path}: up must be "z", "y" or "-y", not {up!r}')
     return Rig(cameras, up)
 
 

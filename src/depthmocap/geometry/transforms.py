@@ -54,6 +54,7 @@ def look_at(
 
 def rotation_between(a: Float[ndarray, "*n 3"], b: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3 3"]:
     """Shortest rotation that takes direction ``a`` to direction ``b`` (neither needs unit length)."""
+    a, b = a.astype(np.float64), b.astype(np.float64)  # near half a turn single precision is not enough
     a = a / np.linalg.norm(a, axis=-1, keepdims=True)
     b = b / np.linalg.norm(b, axis=-1, keepdims=True)
     axis = np.cross(a, b)

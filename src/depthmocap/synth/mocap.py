@@ -197,7 +197,7 @@ def read_clips(directory: Path, anny_rest: dict[str, Float[ndarray, "3"]]) -> It
     for path in files:
         postures, frame_time = read_bvh(path, anny_rest)
         step = max(1, round(1 / 30 / frame_time))
-        postures = postures[:: step][_unflipped(postures[:: step], frame_time * step)]
+        postures = postures[::step][_unflipped(postures[::step], frame_time * step)]
         words = descriptions.get(path.name, "")
         simple = any(word in words for word in ("walk", "run", "jog"))
         yield Clip(path.stem, postures, simple, split_of(path.stem))

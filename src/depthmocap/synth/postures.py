@@ -154,29 +154,6 @@ class PosturePrior:
         return _vary(posture, self.variation, rng), component
 
 
-def fit_prior(clips: Sequence[Clip], path: Path, components: int = 48, rank: int = 24, seed: int = 0) -> None:
-    """Fit the posture prior on the training clips and their mirror images, and save it (a few hundred kB).
-
-    Each component keeps the ``rank`` widest directions of its covariance.
-    """
-    from sklearn.mixture import GaussianMixture
-
-    train = [clip for clip in clips if clip.split == "train" and len(clip.postures)]
-    kept = [thin(clip.postures, 0.07) for clip in train]
-    postures = np.concatenate([without_heading(c.postures)[k] for c, k in zip(train, kept, strict=True)])
-    simple = np.concatenate([np.full(len(k), c.simple) for c, k in zip(train, kept, strict=True)])
-    data = np.concatenate([postures, mirror_posture(postures)]).reshape(-1, postures.shape[1] * 3)
-    mixture = GaussianMixture(components, covariance_type="full", reg_covar=1e-3, random_state=seed, max_iter=60)
-    mixture.fit(data)
-    simple_weights = mixture.predict_proba(data[np.concatenate([simple, simple])]).mean(0)
-    values, vectors = np.linalg.eigh(mixture.covariances_)
-    factors = vectors[:, :, -rank:] * np.sqrt(np.maximum(values[:, None, -rank:], 0))
-    np.savez_compressed(
-        path, weights=mixture.weights_.astype(np.float16), simple_weights=simple_weights.astype(np.float16),
-        means=mixture.means_.astype(np.float16), factors=factors.astype(np.float16),
-    )  # fmt: skip
-
-
 def load_clips(directory: Path) -> list[Clip]:
     """All clips of a directory of BVH files."""
     model = BodyModel.load()

@@ -16,7 +16,7 @@ from depthmocap.geometry.transforms import look_at
 from depthmocap.synth.bodies import ONE_CHARACTER, dress, random_outfit, random_phenotype, sixteen_characters
 from depthmocap.synth.postures import PostureSource
 from depthmocap.synth.render import render_body
-from depthmocap.synth.sensor import SensorNoise, apply_noise
+from depthmocap.synth.sensor import SensorNoise, apply_noise_near
 
 Subset = Literal["easy", "inter", "hard", "open"]
 
@@ -106,7 +106,7 @@ def draw_sample(
         depth, labels = render_body(posed, camera)
         mask = labels > 0
         if noise is not None:
-            depth = np.where(mask, apply_noise(depth, noise, rng), 0).astype(np.float32)
+            depth = apply_noise_near(depth, mask, noise, rng)
             mask = mask & (depth > 0)
         drawn.append(View(camera, depth, mask, labels))
     return Sample(tuple(drawn), posed.joints, group)

@@ -50,9 +50,7 @@ def random_noise(rng: np.random.Generator) -> SensorNoise:
 _EDGE_JUMP_M = 0.1
 
 
-def apply_noise(
-    depth_m: Float[ndarray, "h w"], noise: SensorNoise, rng: np.random.Generator
-) -> Float[ndarray, "h w"]:
+def apply_noise(depth_m: Float[ndarray, "h w"], noise: SensorNoise, rng: np.random.Generator) -> Float[ndarray, "h w"]:
     """The depth image as the sensor reads it; 0 is invalid before and after."""
     height, width = depth_m.shape
     out = depth_m
@@ -82,6 +80,18 @@ def apply_noise(
     if noise.quantise_m > 0:
         out = np.round(out / noise.quantise_m) * noise.quantise_m
     return np.where(valid & ~lost & (out > 0.05), out, 0).astype(np.float32)
+
+
+def apply_noise_near(
+    depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], noise: SensorNoise, rng: np.random.Generator
+) -> Float[ndarray, "h w"]:
+    """Noise on the masked pixels alone, made only around them; the rest of the result is 0."""
+    out = np.zeros_like(depth_m)
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    if len(rows):
+        box = slice(max(rows[0] - 3, 0), rows[-1] + 4), slice(max(columns[0] - 3, 0), columns[-1] + 4)
+        out[box] = np.where(mask[box], apply_noise(np.ascontiguousarray(depth_m[box]), noise, rng), 0)
+    return out
 
 
 def _edges(

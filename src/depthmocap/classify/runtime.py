@@ -1,0 +1,74 @@
+"""Label depth images with a trained network, through ONNX Runtime; needs no torch."""
+
+from __future__ import annotations
+
+import importlib.resources
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray
+
+from depthmocap.classify.preprocess import Window, make_window
+from depthmocap.errors import InputError
+from depthmocap.frames import View
+from depthmocap.kernels.head import label_pixels
+
+
+class Classifier:
+    """A trained body-part classifier: depth in, region and probability of every pixel out (paper, Sec. IV-A)."""
+
+    def __init__(self, path: Path | None = None, threads: int | None = None) -> None:
+        """Load an ONNX file written by ``depthmocap train classifier``; the packaged one by default.
+
+        Args:
+            threads: of the network; by default as many as this process may use.
+
+        Raises:
+            InputError: when the file is missing or not such a network.
+        """
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        # Zero lets the runtime choose, one thread a physical core.
+        options.intra_op_num_threads = threads or 0
+        options.log_severity_level = 3
+        source = path or Path(str(importlib.resources.files("depthmocap.classify") / "weights" / "fast.onnx"))
+        if not source.is_file():
+            raise InputError(f"{source} not found: give the classifier.onnx of a training run")
+        try:
+            self._session = onnxruntime.InferenceSession(str(source), options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # the runtime's errors share no public base class
+            raise InputError(f"{source} is not a readable ONNX network: {str(error).splitlines()[0]}") from None
+        names = [node.name for node in self._session.get_inputs()], [node.name for node in self._session.get_outputs()]
+        if names != (["windows"], ["logits"]):
+            raise InputError(f"{source} is not a depthmocap classifier: its inputs and outputs are {names}")
+        self.path = source
+
+    def label_windows(self, windows: Sequence[Window]) -> list[tuple[UInt8[ndarray, "s s"], Float[ndarray, "s s"]]]:
+        """Labels and confidences of windows, 0 where a window has no person, all views in one call."""
+        if not windows:
+            return []
+        logits = self._session.run(None, {"windows": np.stack([window.inputs for window in windows])})[0]
+        results = []
+        for window, output in zip(windows, np.asarray(logits), strict=True):
+            mask = window.inputs[1] > 0
+            labels, confidence = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
+            label_pixels(output, mask, labels, confidence)
+            results.append((labels, confidence))
+        return results
+
+    def label_views(
+        self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]
+    ) -> list[tuple[UInt8[ndarray, "_ _"], Float[ndarray, "_ _"]]]:
+        """Region 0–43 of every masked pixel of every view, and its probability; all 0 where nobody is."""
+        windows = [make_window(view.depth_m, mask, view.camera) for view, mask in zip(views, masks, strict=True)]
+        found = iter(self.label_windows([window for window in windows if window is not None]))
+        results = []
+        for window, mask in zip(windows, masks, strict=True):
+            if window is None:
+                results.append((np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)))
+            else:
+                results.append(window.labels_to_image(*next(found), mask))
+        return results

@@ -1,0 +1,102 @@
+"""The command line. Every command is a frozen dataclass of settings, which is its options, and one function."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import sys
+import warnings
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from depthmocap import __version__
+from depthmocap.errors import InputError, missing_extra
+
+
+@dataclasses.dataclass(frozen=True)
+class _Command:
+    words: str
+    module: str
+    settings: str
+    function: str
+    help: str
+    #: Extra that the command needs.
+    extra: str = ""
+
+
+_COMMANDS = (
+    _Command("demo", "depthmocap.demo", "DemoSettings", "demo", "motion capture of the packaged recording"),
+    _Command("run", "depthmocap.run", "RunSettings", "run", "motion capture of a recording or a UBC3V section"),
+    _Command("label", "depthmocap.label", "LabelSettings", "label_image", "body parts of one depth image"),
+    _Command("synth", "depthmocap.synth.generate", "SynthSettings", "generate", "make labelled depth data", "train"),
+    _Command("train classifier", "depthmocap.classify.train", "ClassifierTraining", "train_classifier",
+             "train a body-part classifier", "train"),
+    _Command("train pose", "depthmocap.pose.train", "PoseTraining", "train_pose", "fit the joint regressors"),
+    _Command("train prior", "depthmocap.synth.prior", "PriorTraining", "train_prior",
+             "learn the posture prior from motion capture", "train"),
+    _Command("evaluate ubc3v", "depthmocap.evaluate.ubc3v", "Ubc3vEvaluation", "evaluate_ubc3v",
+             "accuracy on UBC3V or a set of its layout"),
+)  # fmt: skip
+
+
+def _print_help(console: Console) -> None:
+    console.print(f"depthmocap {__version__}: human motion capture from several depth cameras\n")
+    table = Table.grid(padding=(0, 3))
+    for command in _COMMANDS:
+        table.add_row(f"  depthmocap {command.words}", command.help)
+    console.print(table)
+    console.print("\ndepthmocap COMMAND --help tells a command's options.")
+
+
+def _find(arguments: list[str]) -> tuple[_Command, list[str]] | None:
+    for command in _COMMANDS:
+        words = command.words.split()
+        if arguments[: len(words)] == words:
+            return command, arguments[len(words) :]
+    return None
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one command; returns the exit status. Bad input is one line on stderr and status 2."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    console, errors = Console(), Console(stderr=True)
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        _print_help(console)
+        return 0
+    if arguments[0] == "--version":
+        console.print(__version__, highlight=False)
+        return 0
+    found = _find(arguments)
+    if found is None:
+        errors.print(f"error: no command '{' '.join(arguments[:2])}'", style="red", highlight=False, markup=False)
+        _print_help(errors)
+        return 2
+    command, rest = found
+    # Third-party warnings about their own futures mean nothing to a user.
+    warnings.simplefilter("ignore", DeprecationWarning)
+    try:
+        try:
+            module = importlib.import_module(command.module)
+        except ModuleNotFoundError as error:
+            if command.extra and not (error.name or "").startswith("depthmocap"):
+                raise missing_extra(error.name or "torch", command.extra) from None
+            raise
+        settings = tyro.cli(getattr(module, command.settings), args=rest, prog=f"depthmocap {command.words}")
+        getattr(module, command.function)(settings)
+    except InputError as error:
+        errors.print(f"error: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
+        return 2
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        errors.print(f"error: {where}{error.strerror or error}", style="red", highlight=False, markup=False)
+        return 2
+    except KeyboardInterrupt:
+        errors.print("stopped", style="red")
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

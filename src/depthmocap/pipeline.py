@@ -1,0 +1,96 @@
+"""The pipeline: views of one instant in, the pose out, with the milliseconds of every stage.
+
+Person mask → body-part labels → labelled world cloud → joints → smoothing. Each stage is a plain function of the one
+before; replace one and keep the rest.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.resources
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray
+
+from depthmocap.classify.runtime import Classifier
+from depthmocap.frames import FrameSet, Pose, View
+from depthmocap.pose.cloud import LabelledCloud, merge_views
+from depthmocap.pose.estimate import estimate_joints
+from depthmocap.pose.ridge import RidgeBank
+from depthmocap.pose.smooth import CausalAverage
+
+STAGES = ("segment", "label", "merge", "joints", "smooth")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Result:
+    """The pose of a frame set and everything found on the way to it."""
+
+    pose: Pose
+    masks: tuple[Bool[ndarray, "_ _"], ...]
+    labels: tuple[UInt8[ndarray, "_ _"], ...]
+    cloud: LabelledCloud
+    #: Milliseconds by stage.
+    milliseconds: dict[str, float]
+
+
+def load_ridge(path: Path | None = None, labels: str = "network") -> RidgeBank:
+    """The packaged regressors for network or true labels, or the user's own file."""
+    return RidgeBank.load(path or Path(str(importlib.resources.files("depthmocap.pose") / "weights" / f"{labels}.npz")))
+
+
+class Pipeline:
+    """Depth views to joints. Keeps state only for smoothing; :meth:`reset` forgets it."""
+
+    def __init__(
+        self,
+        classifier: Classifier,
+        regressor: RidgeBank,
+        segment: Callable[[View], Bool[ndarray, "_ _"]],
+        up: str = "z",
+        smoothing: Float[ndarray, "k"] | None = None,
+    ) -> None:
+        """
+        Args:
+            segment: gives the person's mask of a view, e.g. a ``PersonSegmenter``.
+            up: the world's up axis.
+            smoothing: weights of the current and the previous estimates (paper, Sec. IV-C); None for no smoothing.
+        """
+        self._classifier, self._regressor, self.segment, self._up = classifier, regressor, segment, up
+        self.smoothing = None if smoothing is None else smoothing.tolist()
+        self._smooth = CausalAverage(smoothing) if smoothing is not None else None
+        self._pool = ThreadPoolExecutor(max_workers=4)
+
+    def reset(self) -> None:
+        """Forget past poses."""
+        if self._smooth is not None:
+            self._smooth.reset()
+
+    def __call__(self, frames: FrameSet) -> Result:
+        """Process one frame set. Without a person (or a view) the joints are NaN and their confidence 0."""
+        clock = [time.perf_counter()]
+        masks = list(self._pool.map(self.segment, frames.views))
+        clock.append(time.perf_counter())
+        labelled = self._classifier.label_views(frames.views, masks)
+        clock.append(time.perf_counter())
+        parts = [(view, labels, weights) for view, (labels, weights) in zip(frames.views, labelled, strict=True)]
+        cloud = merge_views(parts)
+        seen_by = sum(bool(labels.any()) for labels, _ in labelled)
+        clock.append(time.perf_counter())
+        joints, confidence = estimate_joints(self._regressor, cloud, self._up, max(seen_by, 1))
+        clock.append(time.perf_counter())
+        if self._smooth is not None:
+            joints = self._smooth(joints)
+        clock.append(time.perf_counter())
+        return Result(
+            Pose(frames.timestamp_ns, joints, confidence),
+            tuple(masks),
+            tuple(labels for labels, _ in labelled),
+            cloud,
+            dict(zip(STAGES, (np.diff(clock) * 1e3).tolist(), strict=True)),
+        )

@@ -1,0 +1,209 @@
+"""``depthmocap run``: a recording in, a folder of skeletons, measurements and pictures out."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import platform
+import time
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+from jaxtyping import Float
+from numpy import ndarray
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from depthmocap.capture.recording import Recording
+from depthmocap.capture.segment import PersonSegmenter
+from depthmocap.classify.runtime import Classifier
+from depthmocap.errors import InputError
+from depthmocap.evaluate.metrics import joint_metrics
+from depthmocap.export import CsvWriter, write_bvh, write_trc
+from depthmocap.frames import FrameSource, Pose
+from depthmocap.pipeline import STAGES, Pipeline, load_ridge
+from depthmocap.pose.smooth import DEFAULT_WEIGHTS
+from depthmocap.run_report import Pictures, write_run_report
+
+Smoothing = Literal["auto", "none", "average"]
+
+
+@dataclasses.dataclass(frozen=True)
+class RunSettings:
+    """Motion capture of a recording.
+
+    Attributes:
+        recording: a recording folder (rig.json and 16-bit PNGs per camera) or a section of UBC3V.
+        out: folder for pose.csv, pose.trc, pose.bvh, summary.json and report.html.
+        segment: "auto" finds the person in a static scene; "none" takes every valid pixel.
+        smooth: "average" is the paper's weighted average of the last frames; "auto" uses it for recordings but not for
+            UBC3V sections, whose frames do not follow each other.
+        weights: a classifier.onnx of your own.
+        regressor: a ridge.npz of your own.
+        report: draw report.html and the animated preview.
+    """
+
+    recording: tyro.conf.Positional[Path]
+    out: Path
+    segment: Literal["auto", "none"] = "auto"
+    smooth: Smoothing = "auto"
+    weights: Path | None = None
+    regressor: Path | None = None
+    report: bool = True
+
+
+def open_source(path: Path) -> FrameSource:
+    """A recording folder or a UBC3V section, told apart by what they hold.
+
+    Raises:
+        InputError: when the path is neither.
+    """
+    if (path / "images" / "depthRender").is_dir() or (path / "groundtruth.mat").is_file():
+        from depthmocap.datasets.ubc3v import Section
+
+        return Section(path)
+    return Recording(path)
+
+
+def load_pipeline(
+    source: FrameSource | Path,
+    segment: Literal["auto", "none"] = "auto",
+    smooth: Smoothing = "auto",
+    weights: Path | None = None,
+    regressor: Path | None = None,
+) -> Pipeline:
+    """The pipeline for a source, its background learnt, with the packaged weights or your own (see RunSettings).
+
+    Raises:
+        InputError: when the recording or the weights cannot be read.
+    """
+    source = open_source(source) if isinstance(source, Path) else source
+    follows = isinstance(source, Recording)
+    smoothed = smooth == "average" or (smooth == "auto" and follows)
+    return Pipeline(
+        Classifier(weights),
+        load_ridge(regressor),
+        PersonSegmenter.from_recording(source, segment),
+        source.up,
+        DEFAULT_WEIGHTS if smoothed else None,
+    )
+
+
+def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]:
+    """Process a recording and write everything; returns the summary. Ctrl-C keeps what was done until then.
+
+    Raises:
+        InputError: when the recording cannot be read, or no frame of it shows a person.
+    """
+    console = console or Console(stderr=True)
+    source = open_source(settings.recording)
+    try:
+        settings.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot write to {settings.out}: {error.strerror}") from None
+    with console.status("reading the background and the weights"):
+        pipeline = load_pipeline(source, settings.segment, settings.smooth, settings.weights, settings.regressor)
+    pictures = Pictures(len(source), source.up) if settings.report else None
+
+    poses: list[Pose] = []
+    truths: list[Float[ndarray, "18 3"]] = []
+    times: list[dict[str, float]] = []
+    delivered: dict[str, int] = dict.fromkeys(source.rig.names, 0) if isinstance(source, Recording) else {}
+    interrupted = False
+    columns = (
+        TextColumn("capturing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[rate]}"),
+    )  # fmt: skip
+    with CsvWriter(settings.out / "pose.csv") as csv, Progress(*columns, console=console) as progress:
+        task = progress.add_task("capturing", total=len(source), rate="")
+        try:
+            before = time.perf_counter()
+            for frames in source:
+                read_ms = (time.perf_counter() - before) * 1e3
+                result = pipeline(frames)
+                csv.write(result.pose)
+                poses.append(result.pose)
+                truths.append(frames.true_joints if frames.true_joints is not None else np.full((18, 3), np.nan))
+                times.append({"read": read_ms, **result.milliseconds})
+                for view in frames.views:
+                    delivered[view.camera.name] = delivered.get(view.camera.name, 0) + 1
+                if pictures is not None:
+                    pictures.add(frames, result)
+                progress.update(
+                    task, advance=1, rate=f"{1e3 / np.mean([sum(t.values()) for t in times[-30:]]):.0f} frames/s"
+                )
+                before = time.perf_counter()
+        except KeyboardInterrupt:
+            interrupted = True
+            console.print(f"stopped after {len(poses)} of {len(source)} frames; writing what was done")
+
+    problems = [*getattr(source, "problems", []), *getattr(pipeline.segment, "problems", [])]
+    if not poses or all(np.isnan(pose.joints).all() for pose in poses):
+        hint = " ".join(problems) or "try --segment none, or add a background.png for each camera"
+        raise InputError(f"{settings.recording}: no person was found in any of {len(poses)} frames: {hint}")
+    write_trc(settings.out / "pose.trc", poses, source.up)
+    held = write_bvh(settings.out / "pose.bvh", poses, source.up)
+    summary = _summary(settings, poses, truths, times, delivered, held, problems)
+    summary |= {"interrupted": interrupted, "smoothing": pipeline.smoothing}
+    (settings.out / "summary.json").write_text(json.dumps(_plain(summary), indent=1) + "\n")
+    if pictures is not None:
+        with console.status("drawing the report"):
+            write_run_report(settings.out, summary, pictures, np.stack(truths), np.stack([p.joints for p in poses]))
+    return summary
+
+
+def _plain(value: Any) -> Any:
+    """The value with NaN as null, which JSON has no number for."""
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _summary(
+    settings: RunSettings,
+    poses: list[Pose],
+    truths: list[Float[ndarray, "18 3"]],
+    times: list[dict[str, float]],
+    delivered: dict[str, int],
+    held: list[int],
+    problems: list[str],
+) -> dict[str, Any]:
+    from depthmocap import __version__
+
+    joints = np.stack([pose.joints for pose in poses])
+    gaps = np.flatnonzero(np.isnan(joints).all((1, 2)))
+    per_frame = np.array([sum(row.values()) for row in times])
+    summary: dict[str, Any] = {
+        "recording": str(settings.recording),
+        "version": __version__,
+        "machine": f"{platform.machine()}, Python {platform.python_version()}",
+        "frames": len(poses),
+        "gaps": len(gaps),
+        "gap_frames": gaps.tolist(),
+        "bvh_held_frames": held,
+        "frames_by_camera": delivered,
+        "frames_per_second": float(1e3 / per_frame.mean()),
+        "ms_per_frame": {"p50": float(np.median(per_frame)), "p95": float(np.quantile(per_frame, 0.95))},
+        "ms_per_stage": {
+            stage: {
+                "p50": float(np.median([row[stage] for row in times])),
+                "p95": float(np.quantile([row[stage] for row in times], 0.95)),
+            }
+            for stage in ("read", *STAGES)
+        },
+        "mean_confidence": float(np.mean([pose.confidence.mean() for pose in poses])),
+        "problems": problems,
+    }
+    if not np.isnan(np.stack(truths)).all():
+        metrics = joint_metrics(joints, np.stack(truths))
+        summary["error"] = {
+            "mean_joint_error_cm": metrics.mean_joint_error_cm,
+            "within_10cm": metrics.within_10cm,
+            "per_joint_error_cm": metrics.per_joint_error_cm,
+            "joints_with_truth": metrics.observed,
+            "joints_missing": metrics.missing,
+        }
+    return summary
