@@ -39,7 +39,23 @@ _LAZY = {
     "run": "depthmocap.run",
 }
 
-__all__ = ["DepthCamera", "FrameSet", "InputError", "Pose", "Rig", "View", "load_rig", "save_rig", *_LAZY]
+__all__ = [
+    "JOINTS",
+    "DepthCamera",
+    "FrameSet",
+    "InputError",
+    "Pipeline",
+    "Pose",
+    "Recording",
+    "Rig",
+    "RunSettings",
+    "View",
+    "load_pipeline",
+    "load_rig",
+    "open_source",
+    "run",
+    "save_rig",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -36,7 +36,5 @@ def demo(settings: DemoSettings) -> dict[str, Any]:
     table.add_row("mean joint error", f"{summary['error']['mean_joint_error_cm']:.2f} cm against the true joints")
     table.add_row("within 10 cm", f"{summary['error']['within_10cm']:.1%}")
     console.print(table)
-    console.print(
-        f"Look at [bold]{settings.out / 'report.html'}[/bold]; the skeleton is in pose.bvh, pose.csv, pose.trc."
-    )
+    console.print(f"Look at [bold]{settings.out / 'report.html'}[/bold]; the skeleton is in pose.bvh, .csv and .trc.")
     return summary

@@ -24,7 +24,7 @@ from depthmocap.evaluate.metrics import joint_metrics
 from depthmocap.export import CsvWriter, write_bvh, write_trc
 from depthmocap.frames import FrameSource, Pose
 from depthmocap.pipeline import STAGES, Pipeline, load_ridge
-from depthmocap.pose.smooth import DEFAULT_WEIGHTS
+from depthmocap.pose.smooth import weights_for
 from depthmocap.run_report import Pictures, write_run_report
 
 Smoothing = Literal["auto", "none", "average"]
@@ -54,12 +54,13 @@ class RunSettings:
     report: bool = True
 
 
-def open_source(path: Path) -> FrameSource:
+def open_source(path: Path | str) -> FrameSource:
     """A recording folder or a UBC3V section, told apart by what they hold.
 
     Raises:
         InputError: when the path is neither.
     """
+    path = Path(path)
     if (path / "images" / "depthRender").is_dir() or (path / "groundtruth.mat").is_file():
         from depthmocap.datasets.ubc3v import Section
 
@@ -68,7 +69,7 @@ def open_source(path: Path) -> FrameSource:
 
 
 def load_pipeline(
-    source: FrameSource | Path,
+    source: FrameSource | Path | str,
     segment: Literal["auto", "none"] = "auto",
     smooth: Smoothing = "auto",
     weights: Path | None = None,
@@ -79,15 +80,17 @@ def load_pipeline(
     Raises:
         InputError: when the recording or the weights cannot be read.
     """
-    source = open_source(source) if isinstance(source, Path) else source
-    follows = isinstance(source, Recording)
-    smoothed = smooth == "average" or (smooth == "auto" and follows)
+    source = open_source(source) if isinstance(source, Path | str) else source
+    smoothing = None
+    if smooth == "average" or (smooth == "auto" and isinstance(source, Recording)):
+        period_ns = source.period_ns if isinstance(source, Recording) else 1e9 / 30
+        smoothing = weights_for(period_ns / 1e9)
     return Pipeline(
         Classifier(weights),
         load_ridge(regressor),
         PersonSegmenter.from_recording(source, segment),
         source.up,
-        DEFAULT_WEIGHTS if smoothed else None,
+        smoothing,
     )
 
 
@@ -113,7 +116,8 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     delivered: dict[str, int] = dict.fromkeys(source.rig.names, 0) if isinstance(source, Recording) else {}
     interrupted = False
     columns = (
-        TextColumn("capturing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[rate]}"),
+        TextColumn("capturing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        TextColumn("{task.fields[rate]}"),
     )  # fmt: skip
     with CsvWriter(settings.out / "pose.csv") as csv, Progress(*columns, console=console) as progress:
         task = progress.add_task("capturing", total=len(source), rate="")
@@ -130,9 +134,8 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
                     delivered[view.camera.name] = delivered.get(view.camera.name, 0) + 1
                 if pictures is not None:
                     pictures.add(frames, result)
-                progress.update(
-                    task, advance=1, rate=f"{1e3 / np.mean([sum(t.values()) for t in times[-30:]]):.0f} frames/s"
-                )
+                recent_ms = np.mean([sum(row.values()) for row in times[-30:]])
+                progress.update(task, advance=1, rate=f"{1e3 / recent_ms:.0f} frames/s")
                 before = time.perf_counter()
         except KeyboardInterrupt:
             interrupted = True

@@ -99,9 +99,7 @@ def write_run_report(
         sections.append(
             ReportSection(
                 "Error against the true joints",
-                (
-                    f"{metrics.mean_joint_error_cm:.2f} cm on average; {metrics.within_10cm:.1%} of joints within 10 cm.",
-                ),
+                (f"Mean {metrics.mean_joint_error_cm:.2f} cm; {metrics.within_10cm:.1%} of joints within 10 cm.",),
                 figures=(
                     ReportFigure(joint_error_bars(metrics), "Mean error per joint, with its deviation.", chart=True),
                     ReportFigure(precision_curve({"estimate": metrics}), "Joints within a distance.", chart=True),

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from depthmocap.errors import InputError
-from depthmocap.pose.smooth import DEFAULT_WEIGHTS, CausalAverage, fit_weights, smooth
+from depthmocap.pose.smooth import DEFAULT_WEIGHTS, CausalAverage, fit_weights, smooth, weights_for
 
 
 def poses(*values):
@@ -123,3 +123,16 @@ def test_bad_sequences_are_refused():
         fit_weights([one, one], [two, one])
     with pytest.raises(InputError, match="in a row"):
         fit_weights([one, two], [one, two], max_previous=5)
+
+
+def test_weights_for_a_frame_rate_keep_the_lag_in_time():
+    slow, fast = weights_for(1 / 10), weights_for(1 / 60)
+    for weights in (slow, fast):
+        assert weights.sum() == pytest.approx(1)
+        assert (np.diff(weights) < 0).all()
+    assert slow[0] > 0.9
+    lag_30 = (weights_for(1 / 30) * np.arange(len(weights_for(1 / 30)))).sum() / 30
+    lag_60 = (fast * np.arange(len(fast))).sum() / 60
+    assert lag_60 == pytest.approx(lag_30, rel=0.5)
+    with pytest.raises(InputError):
+        weights_for(0.0)

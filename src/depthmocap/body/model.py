@@ -124,7 +124,7 @@ class BodyModel:
                 import anny
                 import warp
 
-                warp.config.quiet = True
+                setattr(warp.config, "quiet", True)  # noqa: B010 - the module builds its settings at import
                 return cls(anny.Anny(rig="makehuman", topology="anny-noeyes-notongue", skinning_method="lbs"))
         except ImportError:
             raise missing_extra("anny", "train") from None

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
+import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -139,7 +141,7 @@ def evaluate_windows(network: nn.Module, inputs: Tensor, labels: Tensor, device:
     """Accuracy over windows (n, 3, s, s) and labels (n, s, s) uint8, on the person's labelled pixels."""
     network.eval()
     accuracy = PixelAccuracy()
-    with torch.no_grad(), torch.autocast(device, torch.bfloat16):
+    with torch.no_grad(), torch.autocast(device.split(":")[0], torch.bfloat16):
         for x, y in zip(inputs.split(16), labels.split(16), strict=True):
             logits = network(x.to(device).to(memory_format=torch.channels_last)).cpu()
             mask = (x[:, 1] > 0) & (y != UNLABELLED)
@@ -161,7 +163,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     out.mkdir(parents=True, exist_ok=True)
     (out / "settings.json").write_text(json.dumps(_settings_json(settings), indent=1) + "\n")
     torch.manual_seed(settings.seed)
-    network = NETWORKS[settings.network]().to(settings.device, memory_format=torch.channels_last)
+    network = NETWORKS[settings.network]().to(settings.device).to(memory_format=torch.channels_last)  # pyright: ignore
     if settings.start is not None:
         load_weights(network, settings.start)
     optimiser = torch.optim.AdamW(
@@ -199,7 +201,8 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     running: list[float] = []
     hits: list[float] = []
     with Progress(*columns) as progress:
-        task = progress.add_task("training", total=1.0, completed=_share(settings, done, spent))
+        task = progress.add_task("training", total=1.0)
+        progress.update(task, completed=_share(settings, done, spent))
         clock = time.monotonic()
         for x, y in loader:
             share = _share(settings, done, spent)
@@ -207,11 +210,11 @@ def train_classifier(settings: ClassifierTraining) -> Path:
                 break
             warm = min(1.0, (done + settings.batch) / 3200)
             for group in optimiser.param_groups:
-                group["lr"] = settings.learning_rate * warm * 0.5 * (1 + np.cos(np.pi * share)) + 1e-6
+                group["lr"] = settings.learning_rate * warm * 0.5 * (1 + math.cos(math.pi * share)) + 1e-6
             network.train()
             x = x.to(settings.device).to(memory_format=torch.channels_last)
             y = y.to(settings.device)
-            with torch.autocast(settings.device, torch.bfloat16):
+            with torch.autocast(settings.device.split(":")[0], torch.bfloat16):
                 logits = network(x)
             chosen, truth = masked_logits(logits, y, (x[:, 1] > 0) & (y != UNLABELLED))
             loss = nn.functional.cross_entropy(chosen.float(), truth.long())
@@ -241,7 +244,8 @@ def train_classifier(settings: ClassifierTraining) -> Path:
                 _write_history(out, history)
     save()
     network.eval()
-    half = {k: v.half() if v.is_floating_point() else v for k, v in network.cpu().state_dict().items()}
+    # Norms and biases are few and keep their range; kernels take half the space.
+    half = {k: v.half() if v.is_floating_point() and v.ndim > 1 else v for k, v in network.cpu().state_dict().items()}
     save_file({k: v.contiguous() for k, v in half.items()}, out / "classifier.safetensors")
     return export_onnx(network, out / "classifier.onnx", {"network": settings.network, "images": str(done)})
 
@@ -273,7 +277,5 @@ def _write_history(out: Path, history: list[dict[str, float]]) -> None:
     from depthmocap.evaluate.charts import loss_curves
 
     (out / "history.jsonl").write_text("".join(json.dumps(row) + "\n" for row in history))
-    try:
+    with contextlib.suppress(OSError):  # a picture is not worth a training run
         (out / "curves.png").write_bytes(loss_curves(history))
-    except OSError:  # a picture is not worth a training run
-        pass

@@ -1,4 +1,4 @@
-"""``depthmocap evaluate ubc3v``: the paper's synthetic evaluation (Sec. V-A), with true or with the network's labels."""
+"""``depthmocap evaluate ubc3v``: the paper's synthetic evaluation (Sec. V-A), with true labels or the network's."""
 
 from __future__ import annotations
 

@@ -47,19 +47,26 @@ class DepthCamera:
 
     @functools.cached_property
     def rays(self) -> Float[ndarray, "h w 2"]:
-        """x/z and y/z of every pixel's ray, lens distortion removed (float32)."""
+        """x/z and y/z of every pixel's ray, lens distortion removed (float32).
+
+        NaN where the lens model cannot be inverted within a pixel: corners beyond the calibrated field.
+        """
         u, v = np.meshgrid(np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64))
         if any(self.distortion):
-            pixels = np.stack([u, v], -1).reshape(-1, 1, 2)
-            undistorted = cv2.undistortPoints(pixels, self.matrix, np.array(self.distortion))
-            return undistorted.reshape(self.height, self.width, 2).astype(np.float32)
+            pixels = np.stack([u, v], -1)
+            rays = cv2.undistortPoints(pixels.reshape(-1, 1, 2), self.matrix, np.array(self.distortion))
+            rays = rays.reshape(self.height, self.width, 2)
+            off = np.abs(self._pixels_of(rays) - pixels).max(-1)
+            return np.where((off < 1.0)[..., None], rays, np.nan).astype(np.float32)
         return np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy], -1).astype(np.float32)
 
     def unproject(
         self, depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"] | None = None
     ) -> Float[ndarray, "n 3"]:
         """Camera-frame points of the masked pixels with valid depth, in row-major order."""
-        valid = depth_m > 0 if mask is None else mask & (depth_m > 0)
+        valid = (depth_m > 0) & np.isfinite(self.rays[..., 0])
+        if mask is not None:
+            valid &= mask
         z = depth_m[valid].astype(np.float32)
         return np.concatenate([self.rays[valid] * z[:, None], z[:, None]], 1)
 
@@ -67,16 +74,19 @@ class DepthCamera:
         """Pixel u, v and depth z (metres) of world points. Points at or behind the camera get NaN pixels."""
         points_camera = transform_points(self.camera_from_world, points_world.astype(np.float64))
         z = points_camera[..., 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            x, y = points_camera[..., 0] / z, points_camera[..., 1] / z
+        in_front = np.where(z > 0, z, np.nan)
+        rays = points_camera[..., :2] / in_front[..., None]
+        return np.concatenate([self._pixels_of(rays), z[..., None]], -1)
+
+    def _pixels_of(self, rays: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
+        """Pixels of rays (x/z, y/z), by OpenCV's lens model."""
         k1, k2, p1, p2, k3 = self.distortion
+        x, y = rays[..., 0], rays[..., 1]
         r2 = x * x + y * y
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
         x_d = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
         y_d = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-        uvz = np.stack([x_d * self.fx + self.cx, y_d * self.fy + self.cy, z], -1)
-        uvz[..., :2][z <= 0] = np.nan
-        return uvz
+        return np.stack([x_d * self.fx + self.cx, y_d * self.fy + self.cy], -1)
 
     def to_metres(self, raw: UInt16[ndarray, "h w"]) -> Float[ndarray, "h w"]:
         """Raw sensor depth in metres (float32). Raw 0 stays 0, invalid; so does the saturated 65535."""
@@ -113,6 +123,8 @@ def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
     try:
         numbers = {key: float(entry[key]) for key in ("fx", "fy", "cx", "cy")}
         width, height = int(entry["width"]), int(entry["height"])
+        if (width, height) != (entry["width"], entry["height"]):
+            raise ValueError(f"width {entry['width']!r} and height {entry['height']!r} must be whole numbers")
         unit = float(entry.get("depth_unit_m", 0.001))
         distortion = [float(k) for k in entry.get("distortion", [0.0] * 5)]
         pose = np.array(entry["world_from_camera"], dtype=np.float64)

@@ -4,7 +4,8 @@ import numba
 import numpy as np
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+# Not all of fastmath: the background is infinitely far.
+@numba.njit(cache=True, fastmath={"contract", "arcp", "nsz", "reassoc"}, nogil=True)
 def rasterise(points, faces, fx, fy, cx, cy, depth, face_index, near):
     """Draw triangles of camera-frame points (x right, y down, z forward) over ``depth``.
 

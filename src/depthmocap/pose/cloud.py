@@ -52,9 +52,11 @@ def merge_views(parts: Sequence[LabelledView]) -> LabelledCloud:
         rays = camera.rays if any(camera.distortion) else _NO_RAYS
         if rays.size and rays.shape[:2] != shape:
             raise InputError(f"camera {camera.name!r} is {rays.shape[:2]} (rows, columns), but its depth is {shape}")
+        # A pixel whose ray the lens model does not give has no place in the world.
+        depth_m = np.where(np.isfinite(rays[..., 0]), view.depth_m, 0) if rays.size else view.depth_m
         images.append(
             (
-                np.ascontiguousarray(view.depth_m, np.float32),
+                np.ascontiguousarray(depth_m, np.float32),
                 np.ascontiguousarray(labels),
                 _NO_WEIGHTS if weights is None else np.ascontiguousarray(weights, np.float32),
                 rays,
@@ -67,8 +69,8 @@ def merge_views(parts: Sequence[LabelledView]) -> LabelledCloud:
     all_labels = np.empty(count, np.uint8)
     all_weights = np.empty(count, np.float32)
     row = 0
-    for depth_m, labels, weights, rays, intrinsics, pose in images:
+    for depth, labels, weights, rays, intrinsics, pose in images:
         row = unproject_labelled(
-            depth_m, labels, weights, rays, intrinsics, pose, REGION_COUNT, row, points_world, all_labels, all_weights
+            depth, labels, weights, rays, intrinsics, pose, REGION_COUNT, row, points_world, all_labels, all_weights
         )
     return LabelledCloud(points_world, all_labels, all_weights)

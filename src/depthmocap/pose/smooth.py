@@ -21,8 +21,29 @@ from depthmocap.pose.ridge import grouped_folds
 
 #: Current estimate first. A mean delay of 0.7 frames, 23 ms at 30 frames a second; white noise falls to 0.62 of itself.
 DEFAULT_WEIGHTS = np.array([0.5, 0.3, 0.2])
+#: Time constant (seconds) of ``weights_for``: about what the default weights have at 30 frames a second.
+TIME_CONSTANT_S = 0.04
 #: With less than this share of the weights present, rescaling would blow them up; the current estimate is taken as is.
 _LEAST_SHARE = 0.05
+
+
+def weights_for(
+    period_s: float, time_constant_s: float = TIME_CONSTANT_S, max_previous: int = 6
+) -> Float64[ndarray, "k"]:
+    """Weights λⱼ ∝ exp(−j·period/τ) for a frame period in seconds: the same lag in time at any frame rate.
+
+    Weights under 2 % are dropped: at 10 frames a second and slower little but the current estimate is left, because
+    the previous one is of another posture.
+
+    Raises:
+        InputError: when the period or the time constant is not positive.
+    """
+    if not (period_s > 0 and time_constant_s > 0):
+        raise InputError(f"period and time constant must be positive, got {period_s} and {time_constant_s} s")
+    weights = np.exp(-np.arange(max_previous + 1) * period_s / time_constant_s)
+    weights /= weights.sum()
+    kept = weights[weights >= 0.02]
+    return kept / kept.sum()
 
 
 def smooth(

@@ -98,7 +98,9 @@ def dress(body: Body, outfit: Outfit, rng: np.random.Generator) -> Body:
         direction = rng.normal(size=3)
         direction *= 2 * np.pi / rng.uniform(0.05, 0.25) / np.linalg.norm(direction)
         wave += np.sin(rest @ direction.astype(np.float32) + np.float32(rng.uniform(0, 2 * np.pi)))
-    thickness = thickness * (1 + outfit.folds * wave * 0.35) + outfit.hair_m * covers["hair"] * (1 + 0.2 * wave)
+    thickness = thickness * np.maximum(1 + outfit.folds * wave * 0.35, 0) + outfit.hair_m * covers["hair"] * (
+        1 + 0.2 * wave
+    )
     normals = np.empty_like(rest)
     vertex_normals(rest, body.model.faces, normals)
     return body.with_vertices(rest + normals * thickness[:, None].astype(np.float32))

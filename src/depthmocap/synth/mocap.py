@@ -114,6 +114,7 @@ def read_bvh(path: Path, anny_rest: dict[str, Float[ndarray, "3"]]) -> tuple[Flo
     except ImportError:
         raise missing_extra("bvhio", "train") from None
     try:
+        _require_all_frames(path)
         document = bvhio.readAsBvh(str(path))
     except Exception as error:  # the parser raises bare and various errors on malformed text
         raise InputError(f"{path} is not a readable BVH file: {error}") from None
@@ -125,6 +126,8 @@ def read_bvh(path: Path, anny_rest: dict[str, Float[ndarray, "3"]]) -> tuple[Flo
         raise InputError(f"{path}: joints {names[:6]}… fit no known naming scheme ({', '.join(_SCHEMES)})")
     z_up = z_up_from("y")
     quaternions = np.array([[tuple(key.Rotation) for key in joint.Keyframes] for joint, _ in joints])  # w x y z
+    if not np.isfinite(quaternions).all():
+        raise InputError(f"{path} is not a readable BVH file: a rotation is not a finite number")
     world = _quaternion_matrices(quaternions)
     for i, (_, parent) in enumerate(joints):
         if parent >= 0:
@@ -142,6 +145,19 @@ def read_bvh(path: Path, anny_rest: dict[str, Float[ndarray, "3"]]) -> tuple[Flo
                 align = rotation_between(tail - head, direction)
         result[:, POSTURE_INDEX[bone]] = world[index] @ align
     return local_rotations(result).astype(np.float32), float(document.FrameTime)
+
+
+def _require_all_frames(path: Path) -> None:
+    """Raise ValueError unless the motion section is whole: at the end of a cut file the parser would wait for ever."""
+    lines = [line for raw in path.read_text().splitlines() if (line := raw.strip())]
+    if "MOTION" not in lines:
+        raise ValueError("it has no MOTION section")
+    header = lines.index("MOTION") + 1
+    words = " ".join(lines[header : header + 2]).split()  # Frames: n Frame Time: s
+    if len(words) != 5 or int(words[1]) < 1 or not 0 < float(words[4]) < np.inf:
+        raise ValueError("after MOTION must follow Frames: and Frame Time:, both with a number above 0")
+    if len(lines) < header + 2 + int(words[1]):
+        raise ValueError(f"it has {len(lines) - header - 2} of its {words[1]} frames")
 
 
 def _rest_direction(joint: Any) -> Float[ndarray, "3"]:
@@ -184,7 +200,7 @@ def read_clips(directory: Path, anny_rest: dict[str, Float[ndarray, "3"]]) -> It
     ``manifest.csv`` (columns file, description), where there is one, tells which clips are walking or running.
 
     Raises:
-        InputError: no directory, no BVH file in it, or an unreadable one.
+        InputError: no directory, no BVH file in it, an unreadable one, or a manifest without these columns.
     """
     files = sorted(directory.glob("*.bvh"))
     if not files:
@@ -193,7 +209,10 @@ def read_clips(directory: Path, anny_rest: dict[str, Float[ndarray, "3"]]) -> It
     manifest = directory / "manifest.csv"
     if manifest.exists():
         with manifest.open(newline="") as handle:
-            descriptions = {row["file"]: row["description"].lower() for row in csv.DictReader(handle)}
+            rows = csv.DictReader(handle)
+            if not {"file", "description"} <= set(rows.fieldnames or ()):
+                raise InputError(f"{manifest} must have the columns file and description, has {rows.fieldnames}")
+            descriptions = {row["file"]: (row["description"] or "").lower() for row in rows}
     for path in files:
         postures, frame_time = read_bvh(path, anny_rest)
         step = max(1, round(1 / 30 / frame_time))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.resources
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -22,6 +23,7 @@ _UPPER = np.array([i for i, name in enumerate(POSTURE_BONES) if name.partition("
                    ("pelvis", "thigh", "shin", "foot")])  # fmt: skip
 
 
+@runtime_checkable
 class PostureSource(Protocol):
     """Anything that draws postures. The heading is uniform; ``group`` tells which clip (or component) one is from."""
 
@@ -119,7 +121,7 @@ def _vary(posture: Float[ndarray, "20 3"], variation: Variation, rng: np.random.
 @dataclasses.dataclass(frozen=True, eq=False)
 class PosturePrior:
     """A Gaussian mixture over local joint rotations, fitted on training clips, with a second set of weights for
-    walking and running. Samples are bounded to what the components cover (2.5 deviations)."""
+    walking and running. Samples stay within two deviations of a component."""
 
     weights: Float[ndarray, "k"]
     simple_weights: Float[ndarray, "k"]
@@ -141,7 +143,8 @@ class PosturePrior:
                 arrays = {
                     name: data[name].astype(np.float64) for name in ("weights", "simple_weights", "means", "factors")
                 }
-        except (OSError, KeyError, ValueError) as error:
+        # A file of another kind: not numpy's (EOFError, ValueError), a single array (TypeError), a broken archive.
+        except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
             raise InputError(f"{source} is not a posture prior: {error}") from None
         return cls(**arrays, simple=simple, variation=variation)
 

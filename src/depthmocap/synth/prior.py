@@ -10,6 +10,7 @@ import numpy as np
 from sklearn.mixture import GaussianMixture
 
 from depthmocap.body.posture import mirror_posture
+from depthmocap.errors import InputError
 from depthmocap.synth.mocap import Clip, without_heading
 from depthmocap.synth.postures import load_clips, thin
 
@@ -43,8 +44,16 @@ def train_prior(settings: PriorTraining) -> Path:
 
 
 def fit_prior(clips: Sequence[Clip], settings: PriorTraining) -> None:
-    """Fit and save the prior of some clips."""
+    """Fit and save the prior of some clips.
+
+    Raises:
+        InputError: when no training clip is among them, or ``out`` is not an .npz file.
+    """
+    if settings.out.suffix != ".npz":
+        raise InputError(f"--out must end in .npz, got {settings.out}")
     train = [clip for clip in clips if clip.split == "train" and len(clip.postures)]
+    if not train:
+        raise InputError(f"{settings.postures}: no clip falls in the train split; give more clips")
     kept = [thin(clip.postures, 0.07) for clip in train]
     postures = np.concatenate([without_heading(c.postures)[k] for c, k in zip(train, kept, strict=True)])
     simple = np.concatenate([np.full(len(k), c.simple) for c, k in zip(train, kept, strict=True)])
@@ -53,10 +62,15 @@ def fit_prior(clips: Sequence[Clip], settings: PriorTraining) -> None:
         settings.components, covariance_type="full", reg_covar=1e-3, random_state=settings.seed, max_iter=60
     )
     mixture.fit(data)
-    simple_weights = mixture.predict_proba(data[np.concatenate([simple, simple])]).mean(0)
-    values, vectors = np.linalg.eigh(mixture.covariances_)
+    # Without a manifest no clip is known to be walking; then easy draws from all components.
+    walking = data[np.concatenate([simple, simple])]
+    simple_weights = mixture.predict_proba(walking).mean(0) if len(walking) else np.asarray(mixture.weights_)
+    values, vectors = np.linalg.eigh(np.asarray(mixture.covariances_))
     factors = vectors[:, :, -settings.rank :] * np.sqrt(np.maximum(values[:, None, -settings.rank :], 0))
-    np.savez_compressed(
-        settings.out, weights=mixture.weights_.astype(np.float16), simple_weights=simple_weights.astype(np.float16),
-        means=mixture.means_.astype(np.float16), factors=factors.astype(np.float16),
-    )  # fmt: skip
+    arrays = {
+        "weights": np.asarray(mixture.weights_),
+        "simple_weights": simple_weights,
+        "means": np.asarray(mixture.means_),
+        "factors": factors,
+    }
+    np.savez_compressed(settings.out, **{name: array.astype(np.float16) for name, array in arrays.items()})

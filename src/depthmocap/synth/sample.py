@@ -71,7 +71,7 @@ def random_camera(
     height = low[2] + rng.uniform(*places.height_m) - centre[2]
     distance = max(rng.uniform(*places.distance_m), abs(height) * 1.1)
     ground = np.sqrt(distance**2 - height**2)
-    eye = centre + [ground * np.sin(azimuth), -ground * np.cos(azimuth), height]
+    eye = centre + np.array([ground * np.sin(azimuth), -ground * np.cos(azimuth), height])
     aim = centre + rng.normal(0, places.aim_m, 3)
     pose = look_at(eye, aim, rng.normal(0, places.roll_rad))
     return DepthCamera(name, sensor.width, sensor.height, sensor.fx, sensor.fy, sensor.cx, sensor.cy, pose)
@@ -95,7 +95,8 @@ def draw_sample(
     sensor: Sensor = KINECT2,
     noise: SensorNoise | None = None,
 ) -> Sample:
-    """One call of the paper's SAMPLE: masks and labels are exact, depth has the sensor's noise if any is given."""
+    """One call of the paper's SAMPLE: labels are exact; depth has the sensor's noise if any is given, and masks
+    are where it is valid."""
     model = BodyModel.load()
     body = random_body(rng, subset, model)
     posture, group = postures.sample(rng)

@@ -20,7 +20,7 @@ class SensorNoise:
         lateral_px: deviation of the ray through a pixel.
         edge_loss: share of pixels lost beside a depth edge.
         flying: share of pixels at a depth edge that float between the two surfaces.
-        holes: mean number of holes on the picture, 3–12 px wide.
+        holes: mean number of holes on the picture, 5–13 px wide.
         quantise_m: depth step, 0 for none.
     """
 

@@ -1,4 +1,4 @@
-"""A procedural motion: stand, turn around on the spot, raise the arms, bend, squat, reach, step aside and kick.
+"""A procedural motion: stand, turn around on the spot, walk, raise the arms, bend, squat, reach and kick.
 
 The score below gives the trunk and the arms as angles over time, and the feet as a list of steps. Feet that carry the
 body are nailed to the floor: the legs follow from the pelvis and the ankles by two-bone inverse kinematics, so that
@@ -22,7 +22,7 @@ from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.geometry.transforms import rotation_between
 
 #: Length of the demo motion.
-DEMO_SECONDS = 9.6
+DEMO_SECONDS = 9.8
 
 _SIDES = {"L": 1.0, "R": -1.0}  # the side's sign along +X
 _FORWARD = np.array([0.0, -1.0, 0.0])
@@ -34,35 +34,40 @@ _STANCE, _TOES_OUT_DEG = 0.125, 7.0
 #: Softness (leg lengths) of the limit that the legs put on the pelvis's height.
 _SOFT = 0.004
 
-_Keys = Sequence[tuple[float, float]]
+_Keys = list[tuple[float, float]]
 
 #: Angles (degrees) and shares of the leg length at times (s). Bending forward, lifting the arms and flexing are
 #: positive, and so is what goes to the person's left.
 _SCORE: dict[str, _Keys] = {
-    "drop": [(5.75, 0), (6.35, 0.05), (6.7, 0.1), (7.15, 0.26), (7.75, 0)],
-    "back": [(5.75, 0), (6.4, 0.13), (6.7, 0.13), (7.15, 0.12), (7.75, 0)],
-    "lean": [(5.75, 0), (6.4, 42), (6.7, 38), (7.15, 18), (7.75, 0), (8.6, 0), (9.0, -5), (9.4, 0)],
-    "bend": [(0, 3), (4.3, 3), (4.75, -8), (5.1, -8), (5.75, 3), (6.4, 48), (6.7, 42), (7.15, 18), (7.75, 3),
-             (8.6, 3), (9.0, 10), (9.4, 3)],
-    "sway": [(7.6, 0), (8.15, 7), (8.3, 7), (8.8, 0)],
-    "twist": [(0.4, 0), (1.0, 14), (2.7, 14), (3.5, 0), (7.6, 0), (8.15, 14), (8.3, 14), (8.8, 0)],
-    "nod": [(0, 2), (4.3, 2), (4.85, -12), (5.1, -12), (5.75, 2), (6.4, 16), (6.7, 14), (7.15, -12), (7.75, 2)],
-    "look": [(0.3, 0), (0.8, 24), (2.6, 22), (3.4, 0), (7.6, 0), (8.15, 8), (8.3, 8), (8.8, 0)],
-    "out.L": [(0, 9), (3.5, 9), (4.2, 88), (4.35, 91), (4.9, 165), (5.1, 165), (5.8, 11), (6.4, 6), (6.7, 8), (7.15, 16),
-              (7.75, 9), (8.6, 9), (9.0, 24), (9.4, 9)],
-    "out.R": [(0, 9), (3.5, 9), (4.25, 88), (4.4, 91), (4.95, 165), (5.1, 165), (5.8, 11), (6.4, 6), (6.7, 8),
-              (7.15, 16), (7.7, 9), (8.15, 20), (8.3, 20), (8.75, 9), (9.0, 20), (9.4, 9)],
-    "forward.L": [(0, 4), (0.8, -8), (1.5, 10), (2.2, -8), (2.9, 10), (3.5, 4), (5.75, 4), (6.4, 78), (6.7, 74),
-                  (7.15, 74), (7.75, 4), (8.6, 4), (9.0, 22), (9.4, 4)],
-    "forward.R": [(0, 4), (0.8, 10), (1.5, -8), (2.2, 10), (2.9, -8), (3.5, 4), (5.75, 4), (6.4, 78), (6.7, 74),
-                  (7.15, 74), (7.65, 6), (8.15, 112), (8.3, 112), (8.75, 4), (9.0, -22), (9.4, 4)],
-    "inward.L": [(3.6, 25), (4.9, -40), (5.1, -40), (5.8, 25)],
-    "inward.R": [(3.6, 25), (4.9, -40), (5.1, -40), (5.8, 25)],
-    "elbow.L": [(0, 8), (0.8, 22), (2.9, 22), (3.5, 8), (4.2, 2), (5.1, 12), (5.8, 8), (6.4, 4), (7.15, 12), (7.75, 8),
-                (8.6, 8), (9.0, 20), (9.4, 8)],
-    "elbow.R": [(0, 8), (0.8, 22), (2.9, 22), (3.5, 8), (4.2, 2), (5.1, 12), (5.8, 8), (6.4, 4), (7.15, 12), (7.6, 30),
-                (8.15, 4), (8.3, 4), (8.75, 10), (9.0, 20), (9.4, 8)],
+    "drop": [(6.55, 0), (7.1, 0.05), (7.35, 0.1), (7.75, 0.26), (8.3, 0)],
+    "back": [(6.55, 0), (7.1, 0.13), (7.35, 0.13), (7.75, 0.12), (8.3, 0)],
+    "lean": [(3.3, 0), (3.7, 4), (4.4, 4), (4.9, 0), (6.55, 0), (7.1, 40), (7.35, 37), (7.75, 18), (8.3, 0), (9.0, 0),
+             (9.36, -5), (9.7, 0)],
+    "bend": [(0, 3), (4.8, 3), (5.45, -7), (5.8, -7), (6.55, 3), (7.1, 46), (7.35, 42), (7.75, 18), (8.3, 3), (9.0, 3),
+             (9.36, 10), (9.7, 3)],
+    "sway": [(8.1, 0), (8.55, 7), (8.7, 7), (9.1, 0)],
+    "twist": [(0.3, 0), (0.9, 14), (2.6, 14), (3.35, 0), (3.7, -5), (4.05, 5), (4.5, 0), (8.1, 0), (8.55, 14),
+              (8.7, 14), (9.1, 0)],
+    "nod": [(0, 2), (4.8, 2), (5.45, -12), (5.8, -12), (6.55, 2), (7.1, 14), (7.35, 12), (7.75, -12), (8.3, 2)],
+    "look": [(0.2, 0), (0.7, 24), (2.5, 22), (3.3, 0), (8.1, 0), (8.55, 8), (8.7, 8), (9.1, 0)],
+    "out.L": [(0, 9), (4.4, 9), (5.0, 86), (5.15, 91), (5.6, 163), (5.75, 163), (6.2, 90), (6.65, 10), (7.1, 6),
+              (7.35, 8), (7.75, 16), (8.3, 9), (9.0, 9), (9.36, 24), (9.75, 9)],
+    "out.R": [(0, 9), (4.4, 9), (5.03, 86), (5.18, 91), (5.63, 163), (5.77, 163), (6.22, 90), (6.65, 10), (7.1, 6),
+              (7.35, 8), (7.75, 16), (8.15, 10), (8.55, 20), (8.7, 20), (9.2, 9), (9.4, 15), (9.75, 9)],
+    "forward.L": [(0, 4), (0.7, -8), (1.4, 10), (2.1, -8), (2.8, 10), (3.3, 0), (3.65, -14), (4.05, 20), (4.4, 4),
+                  (6.55, 4), (7.1, 76), (7.35, 74), (7.75, 74), (8.3, 4), (9.0, 4), (9.36, 22), (9.75, 4)],
+    "forward.R": [(0, 4), (0.7, 10), (1.4, -8), (2.1, 10), (2.8, -8), (3.3, 4), (3.65, 20), (4.05, -12), (4.4, 4),
+                  (6.55, 4), (7.1, 76), (7.35, 74), (7.75, 74), (8.1, 35), (8.6, 112), (8.7, 112), (9.35, -10),
+                  (9.75, 4)],
+    "inward.L": [(4.5, 25), (5.6, -40), (5.75, -40), (6.6, 25)],
+    "inward.R": [(4.5, 25), (5.6, -40), (5.75, -40), (6.6, 25)],
+    "elbow.L": [(0, 10), (0.7, 22), (2.8, 22), (3.3, 14), (4.05, 24), (4.5, 10), (5.1, 3), (5.75, 12), (6.65, 10),
+                (7.1, 4), (7.75, 12), (8.3, 10), (9.0, 10), (9.36, 20), (9.75, 10)],
+    "elbow.R": [(0, 10), (0.7, 22), (2.8, 22), (3.65, 26), (4.5, 10), (5.1, 3), (5.75, 12), (6.65, 10), (7.1, 4),
+                (7.75, 12), (8.1, 34), (8.55, 4), (8.7, 4), (9.1, 24), (9.75, 10)],
 }  # fmt: skip
+#: Where the person starts and goes to (leg lengths), along y: forward is −Y.
+_START_Y, _END_Y = 0.6, -0.26
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +75,7 @@ class _Step:
     """One foot's way through the air to another place on the floor.
 
     Attributes:
-        place: x, y of the ankle where it lands (leg lengths), the person's start at the origin.
+        place: x, y of the ankle where it lands (leg lengths), in the world.
         yaw_deg: heading of the foot where it lands, the toes' outward angle not counted.
         detour: x (outwards), y (backwards), z by which the path leaves the straight line, in the foot's heading.
         toes_deg: how far the toes point down on the way.
@@ -87,22 +92,26 @@ class _Step:
     weight: float = 0.6
 
 
-def _stand(side: str, yaw_deg: float, x: float = 0.0) -> tuple[float, float]:
-    """Where a foot stands when the body, its middle at ``x``, has this heading."""
+def _stand(side: str, x: float, y: float, yaw_deg: float = 0.0) -> tuple[float, float]:
+    """Where a foot stands when the middle of a body with this heading is over a place."""
     yaw, half = np.deg2rad(yaw_deg), _SIDES[side] * _STANCE
-    return float(x + half * np.cos(yaw)), float(half * np.sin(yaw))
+    return float(x + half * np.cos(yaw)), float(y + half * np.sin(yaw))
 
 
 def _demo_steps() -> list[_Step]:
-    yaws = [("L", 50.0), ("R", 72.0), ("L", 122.0), ("R", 144.0), ("L", 194.0), ("R", 216.0), ("L", 266.0),
-            ("R", 288.0), ("L", 330.0), ("R", 360.0), ("L", 360.0)]  # fmt: skip
-    steps = [
-        _Step(side, 0.5 + 0.26 * i, 0.5 + 0.26 * i + 0.28, _stand(side, yaw), yaw) for i, (side, yaw) in enumerate(yaws)
-    ]
-    steps.append(_Step("L", 7.6, 7.95, _stand("L", 360, 0.3), 360))
-    steps.append(_Step("L", 8.35, 8.7, _stand("L", 360), 360))
-    kick = (0.05, -0.52, 0.3)
-    steps.append(_Step("R", 8.65, 9.4, _stand("R", 360), 360, detour=kick, toes_deg=-8.0, weight=0.9))
+    steps = []
+    yaws = (50.0, 72.0, 122.0, 144.0, 194.0, 216.0, 266.0, 288.0, 330.0, 360.0, 360.0)
+    for i, yaw in enumerate(yaws):
+        side, start = "LR"[i % 2], 0.4 + 0.26 * i
+        steps.append(_Step(side, start, start + 0.26, _stand(side, 0.0, _START_Y, yaw), yaw))
+    walk = [("R", 3.35, 0.26), ("L", 3.67, -0.02), ("R", 3.99, _END_Y), ("L", 4.31, _END_Y)]
+    steps.extend(
+        _Step(side, start, start + 0.32, _stand(side, 0.0, y), 360.0, (0.0, 0.0, 0.1), 18.0, 0.4)
+        for side, start, y in walk
+    )
+    steps.append(_Step("L", 8.0, 8.36, _stand("L", 0.28, _END_Y), 360.0))
+    steps.append(_Step("L", 8.64, 9.0, _stand("L", 0.0, _END_Y), 360.0))
+    steps.append(_Step("R", 9.02, 9.7, _stand("R", 0.0, _END_Y), 360.0, (0.05, -0.5, 0.3), -8.0, 0.9))
     return steps
 
 
@@ -115,97 +124,9 @@ class Motion:
     offsets: Float[ndarray, "n 3"]
 
 
-def demo_motion(body: Body, fps: float = 10.0, seconds: float = DEMO_SECONDS) -> Motion:
-    """The demo motion for a body that starts over the origin, facing −Y, and ends there.
-
-    Args:
-        body: whose bones the feet are placed with.
-        fps: frames a second.
-        seconds: how much of the motion, at most ``DEMO_SECONDS``.
-
-    Raises:
-        ValueError: when ``fps`` or ``seconds`` is out of range.
-    """
-    if fps <= 0 or not 0 < seconds <= DEMO_SECONDS:
-        raise ValueError(f"fps must be positive and seconds in (0, {DEMO_SECONDS}], got {fps} and {seconds}")
-    times_s = np.arange(round(seconds * fps)) / fps
-    return _solve(body, times_s)
-
-
-def pose_sequence(body: Body, motion: Motion) -> Iterator[PosedBody]:
-    """The body in every posture of a motion, where it then is, its lowest vertex on the floor z = 0."""
-    for posture, offset in zip(motion.postures, motion.offsets, strict=True):
-        posed = body.pose(posture)
-        # Skinning moves the soles by a few millimetres as the ankles turn.
-        move = np.array([offset[0], offset[1], -float(posed.vertices[:, 2].min())])
-        yield dataclasses.replace(
-            posed, vertices=posed.vertices + move.astype(posed.vertices.dtype), joints=posed.joints + move
-        )
-
-
-def _channels(times_s: Float[ndarray, " n"]) -> dict[str, Float[ndarray, " n"]]:
-    channels: dict[str, ndarray] = {}
-    for name, keys in _SCORE.items():
-        at, values = np.array(keys, dtype=float).T
-        clamped = np.clip(times_s, at[0], at[-1])
-        # Pchip never overshoots, and stands still at the keys where a curve turns back: eased in and out.
-        channels[name] = PchipInterpolator(np.r_[at[0] - 1, at, at[-1] + 1], np.r_[values[0], values, values[-1]])(
-            clamped
-        )
-    return channels
-
-
-def _ease(s: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
-    s = np.clip(s, 0, 1)
-    return s * s * (3 - 2 * s)
-
-
-def _bump(s: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
-    return np.sin(np.pi * np.clip(s, 0, 1)) ** 2
-
-
-@dataclasses.dataclass(eq=False)
-class _Foot:
-    """An ankle's place over the floor (leg lengths), heading, pitch (radians, toes down) and load 0–1 over time."""
-
-    place: Float[ndarray, "n 3"]
-    yaw: Float[ndarray, " n"]
-    pitch: Float[ndarray, " n"]
-    load: Float[ndarray, " n"]
-
-
-def _walk(side: str, steps: Sequence[_Step], times_s: Float[ndarray, " n"]) -> _Foot:
-    here, yaw_deg = np.array([*_stand(side, 0.0), 0.0]), 0.0
-    zero = np.zeros(len(times_s))
-    foot = _Foot(np.tile(here, (len(times_s), 1)), zero.copy(), zero.copy(), zero + 1)
-    for step in (step for step in steps if step.side == side):
-        s = (times_s - step.start_s) / (step.end_s - step.start_s)
-        there = np.array([*step.place, 0.0])
-        turn = np.deg2rad(step.yaw_deg - yaw_deg)
-        foot.yaw += turn * _ease(s)
-        x, y, z = step.detour
-        detour = Rotation.from_rotvec([0, 0, np.deg2rad(step.yaw_deg)]).apply([_SIDES[side] * x, y, z])
-        foot.place += (there - here) * _ease(s)[:, None] + detour * _bump(s)[:, None]
-        foot.pitch += np.deg2rad(step.toes_deg) * _bump(s)
-        # The weight goes over to the other foot before this one is lifted.
-        foot.load *= 1 - step.weight * _bump((s + 0.25) / 1.5)
-        here, yaw_deg = there, step.yaw_deg
-    return foot
-
-
-def _turns(axis: str, angles: Float[ndarray, " n"]) -> Float[ndarray, "n 3 3"]:
-    return Rotation.from_euler(axis, angles[:, None]).as_matrix()
-
-
-def _limb_frame(direction: Float[ndarray, "*n 3"], hinge: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3 3"]:
-    """Orthonormal frame of a bone's direction and, as nearly as possible, its hinge."""
-    d = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
-    side = np.cross(d, hinge)
-    side = side / np.linalg.norm(side, axis=-1, keepdims=True)
-    return np.stack([d, np.cross(side, d), side], -1)
-
-
-def _solve(body: Body, times_s: Float[ndarray, " n"]) -> Motion:
+def demo_motion(body: Body, times_s: Float[ndarray, " n"]) -> Motion:
+    """The demo motion at any times (s) of 0 to ``DEMO_SECONDS``, for a body that turns behind the origin, steps
+    forward and faces −Y for the rest; before and after, it stands. The feet are placed with the bones of this body."""
     rest = dict(zip(JOINT_INDEX, body.rest_heads[body.model.joint_bones], strict=True))
     floor = float(body.rest_vertices[:, 2].min())
     thigh, shin = (
@@ -253,6 +174,80 @@ def _solve(body: Body, times_s: Float[ndarray, " n"]) -> Motion:
             world[:, POSTURE_INDEX[f"{bone}.{side}"]] = _limb_frame(direction, hinge) @ at_rest.T
         world[:, POSTURE_INDEX[f"foot.{side}"]] = _turns("z", outward) @ _turns("x", foot.pitch)
     return Motion(times_s, local_rotations(world), pelvis - rest["Hip"])
+
+
+def pose_sequence(body: Body, motion: Motion) -> Iterator[PosedBody]:
+    """The body in every posture of a motion, where it then is, on the floor z = 0.
+
+    A dressed body's soles are not equally thick: the thicker touches the floor, and nothing jumps as the weight shifts.
+    """
+    for posture, offset in zip(motion.postures, motion.offsets, strict=True):
+        posed = body.pose(posture)
+        yield dataclasses.replace(
+            posed, vertices=posed.vertices + offset.astype(posed.vertices.dtype), joints=posed.joints + offset
+        )
+
+
+def _channels(times_s: Float[ndarray, " n"]) -> dict[str, Float[ndarray, " n"]]:
+    channels: dict[str, ndarray] = {}
+    for name, keys in _SCORE.items():
+        at, values = np.array(keys, dtype=float).T
+        clamped = np.clip(times_s, at[0], at[-1])
+        # Pchip never overshoots, and stands still at the keys where a curve turns back: eased in and out.
+        channels[name] = PchipInterpolator(np.r_[at[0] - 1, at, at[-1] + 1], np.r_[values[0], values, values[-1]])(
+            clamped
+        )
+    return channels
+
+
+def _ease(s: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
+    s = np.clip(s, 0, 1)
+    return s * s * (3 - 2 * s)
+
+
+def _bump(s: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
+    return np.sin(np.pi * np.clip(s, 0, 1)) ** 2
+
+
+@dataclasses.dataclass(eq=False)
+class _Foot:
+    """An ankle's place over the floor (leg lengths), heading, pitch (radians, toes down) and load 0–1 over time."""
+
+    place: Float[ndarray, "n 3"]
+    yaw: Float[ndarray, " n"]
+    pitch: Float[ndarray, " n"]
+    load: Float[ndarray, " n"]
+
+
+def _walk(side: str, steps: Sequence[_Step], times_s: Float[ndarray, " n"]) -> _Foot:
+    here, yaw_deg = np.array([*_stand(side, 0.0, _START_Y), 0.0]), 0.0
+    zero = np.zeros(len(times_s))
+    foot = _Foot(np.tile(here, (len(times_s), 1)), zero.copy(), zero.copy(), zero + 1)
+    for step in (step for step in steps if step.side == side):
+        s = (times_s - step.start_s) / (step.end_s - step.start_s)
+        there = np.array([*step.place, 0.0])
+        turn = np.deg2rad(step.yaw_deg - yaw_deg)
+        foot.yaw += turn * _ease(s)
+        x, y, z = step.detour
+        detour = Rotation.from_rotvec([0, 0, np.deg2rad(step.yaw_deg)]).apply([_SIDES[side] * x, y, z])
+        foot.place += (there - here) * _ease(s)[:, None] + detour * _bump(s)[:, None]
+        foot.pitch += np.deg2rad(step.toes_deg) * _bump(s)
+        # The weight goes over to the other foot before this one is lifted.
+        foot.load *= 1 - step.weight * _bump((s + 0.25) / 1.5)
+        here, yaw_deg = there, step.yaw_deg
+    return foot
+
+
+def _turns(axis: str, angles: Float[ndarray, " n"]) -> Float[ndarray, "n 3 3"]:
+    return Rotation.from_euler(axis, angles[:, None]).as_matrix()
+
+
+def _limb_frame(direction: Float[ndarray, "*n 3"], hinge: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3 3"]:
+    """Orthonormal frame of a bone's direction and, as nearly as possible, its hinge."""
+    d = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+    side = np.cross(d, hinge)
+    side = side / np.linalg.norm(side, axis=-1, keepdims=True)
+    return np.stack([d, np.cross(side, d), side], -1)
 
 
 def _pose_trunk(

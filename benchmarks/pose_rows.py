@@ -1,0 +1,169 @@
+"""Rows of segmentation, of aggregation and joints, and of the whole pipeline."""
+
+from __future__ import annotations
+
+import importlib.resources
+import time
+from pathlib import Path
+
+import numpy as np
+from body_rows import camera_before
+from label_rows import load_classifier
+from numpy import ndarray
+from timing import Bench, Reference, Row, Timing
+
+from depthmocap.body.model import BodyModel
+from depthmocap.body.regions import REGION_COUNT
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.capture.recording import Recording
+from depthmocap.capture.segment import PersonSegmenter
+from depthmocap.frames import View
+from depthmocap.geometry.transforms import transform_points
+from depthmocap.pipeline import STAGES, Pipeline, load_ridge
+from depthmocap.pose.cloud import LabelledView, merge_views
+from depthmocap.pose.estimate import estimate_joints
+from depthmocap.pose.features import FEATURE_COUNT, FEATURES_PER_REGION, MIN_POINTS, cloud_features
+from depthmocap.pose.ridge import RidgeBank, RidgePose
+from depthmocap.pose.smooth import DEFAULT_WEIGHTS
+from depthmocap.synth.bodies import ONE_CHARACTER
+from depthmocap.synth.postures import PosturePrior
+from depthmocap.synth.render import render_body
+from depthmocap.synth.room import Box, Room, render_room
+from depthmocap.synth.sample import CameraRange, draw_sample
+from depthmocap.synth.sensor import SensorNoise, apply_noise
+
+POSE_GOAL_MS = 10.0
+#: As near as a body fits into a Kinect 2's picture: about 30,000 pixels.
+_NEAR = CameraRange(distance_m=(1.4, 1.4), height_m=(0.8, 1.2), aim_m=0.0)
+
+
+def load_bank(bench: Bench) -> RidgeBank:
+    """The packaged regressors, or random ones, which take as long."""
+    packaged = Path(str(importlib.resources.files("depthmocap.pose") / "weights" / "network.npz"))
+    if packaged.is_file():
+        return load_ridge()
+    missing = "no packaged regressors: random ones stand in for them"
+    if missing not in bench.notes:
+        bench.notes.append(missing)
+    rng = np.random.default_rng(5)
+    outputs = 3 * len(JOINTS)
+    weights = rng.normal(0, 0.03, (FEATURE_COUNT, outputs)).astype(np.float32)
+    zeros, ones = np.zeros(FEATURE_COUNT, np.float32), np.ones(FEATURE_COUNT, np.float32)
+    return RidgeBank((RidgePose(zeros, ones, weights, np.zeros(outputs, np.float32), 1.0),))
+
+
+def joints(bench: Bench) -> None:
+    """From three labelled views to joints, against the same in plain NumPy."""
+    bank = load_bank(bench)
+    # Of some samples, the one nearest to 30,000 pixels a view.
+    samples = [
+        draw_sample(np.random.default_rng([6, i]), "open", PosturePrior.load(), places=_NEAR, noise=SensorNoise())
+        for i in range(12)
+    ]
+    sample = min(samples, key=lambda s: abs(sum(int((v.depth_m > 0).sum()) for v in s.views) - 90_000))
+    parts: list[LabelledView] = []
+    for view in sample.views:
+        assert view.mask is not None and view.labels is not None
+        labels = np.where(view.mask, view.labels, 0).astype(np.uint8)
+        parts.append((view, labels, view.mask.astype(np.float32)))
+
+    def ours() -> tuple[ndarray, ndarray]:
+        return estimate_joints(bank, merge_views(parts), "z", len(parts))
+
+    def plain() -> ndarray:
+        return _plain_joints(bank.model_for(len(parts)), parts)[1]
+
+    features = cloud_features(merge_views(parts), "z", bank.absolute).values
+    plain_features = _plain_joints(bank.model_for(len(parts)), parts)[0]
+    feature_error = float(np.nanmax(np.abs(features - plain_features)))
+    error_mm = float(np.abs(ours()[0] - plain()).max() * 1e3)
+    same_seen = np.array_equal(np.isnan(features), np.isnan(plain_features))
+    bench.measure(
+        "Merge 3 views, features, joints", ours, Reference("plain NumPy", plain), goal_ms=POSE_GOAL_MS,
+        agrees=same_seen and feature_error < 1e-4 and error_mm < 0.5,
+        note=f"{len(merge_views(parts))} points; features within {feature_error:.2g}, joints within {error_mm:.2g} mm",
+    )  # fmt: skip
+
+
+def _plain_joints(model: RidgePose, parts: list[LabelledView]) -> tuple[ndarray, ndarray]:
+    """Features and joints as a direct reading of the paper's text computes them."""
+    points = np.concatenate(
+        [
+            transform_points(view.camera.world_from_camera, view.camera.unproject(view.depth_m, labels > 0))
+            for view, labels, _ in parts
+        ]
+    )
+    regions = np.concatenate([labels[(labels > 0) & (view.depth_m > 0)] for view, labels, _ in parts])
+    centre = np.zeros(3) if model.absolute else np.median(points, axis=0)
+    features = np.full((REGION_COUNT, FEATURES_PER_REGION), np.nan)
+    for region in range(1, REGION_COUNT + 1):
+        own = points[regions == region] - centre
+        if len(own) >= MIN_POINTS:
+            covariance = np.cov(own, rowvar=False, bias=True)
+            features[region - 1] = np.concatenate(
+                [
+                    np.median(own, axis=0), covariance.ravel(), np.linalg.eigvalsh(covariance), own.std(0),
+                    own.min(0), own.max(0),
+                ]
+            )  # fmt: skip
+    x = np.nan_to_num((features.ravel() - model.mean) / model.scale)
+    return features.ravel(), (x @ model.weights + model.bias).reshape(-1, 3) + centre
+
+
+def segmentation(bench: Bench) -> None:
+    """The person before a static room, against the bare comparison with the background."""
+    posed = BodyModel.load().shape(ONE_CHARACTER).pose(PosturePrior.load().sample(np.random.default_rng(7))[0])
+    centre = posed.vertices.mean(0).astype(float)
+    camera = camera_before(centre, 2.6)
+    x, y, floor = float(centre[0]), float(centre[1]), float(posed.vertices[:, 2].min()) - 0.005
+    chest = Box((x + 0.9, y + 0.8, floor), (x + 1.5, y + 1.6, floor + 0.9))
+    room = render_room(Room(Box((x - 3, y - 3.5, floor), (x + 3, y + 2.5, floor + 2.6)), (chest,)), camera)
+    rng, noise = np.random.default_rng(8), SensorNoise()
+    background = apply_noise(room, noise, rng)
+    depth, labels = render_body(posed, camera, room)
+    view, truth = View(camera, apply_noise(depth, noise, rng)), labels > 0
+    segmenter = PersonSegmenter({camera.name: background})
+
+    def plain() -> ndarray:
+        return (view.depth_m > 0) & (view.depth_m < background - 0.05)
+
+    shares = [_overlap(mask, truth & (view.depth_m > 0)) for mask in (segmenter(view), plain())]
+    bench.measure(
+        "Find the person in a view", lambda: segmenter(view), Reference("bare threshold (a floor)", plain),
+        note=f"overlap with the truth {shares[0]:.1%}, of the threshold {shares[1]:.1%}",
+    )  # fmt: skip
+
+
+def _overlap(mask: ndarray, truth: ndarray) -> float:
+    """Intersection over union."""
+    return float((mask & truth).sum() / max((mask | truth).sum(), 1))
+
+
+def whole_pipeline(bench: Bench, recording: Path | None) -> None:
+    """All stages on the packaged demo recording, or the user's own."""
+    path = recording or Path(str(importlib.resources.files("depthmocap") / "demo_recording"))
+    if not path.is_dir():
+        bench.notes.append("no packaged demo recording: the whole pipeline is not measured")
+        return
+    source = Recording(path)
+    pipeline = Pipeline(
+        load_classifier(bench), load_bank(bench), PersonSegmenter.from_recording(source), source.up, DEFAULT_WEIGHTS
+    )
+    sets = min(len(source), bench.warm_up + bench.runs)
+    total, reading, stages = [], [], []
+    for i in range(sets):
+        start = time.perf_counter()
+        frames = source[i]
+        read = time.perf_counter()
+        result = pipeline(frames)
+        total.append((time.perf_counter() - read) * 1e3)
+        reading.append((read - start) * 1e3)
+        stages.append([result.milliseconds[stage] for stage in STAGES])
+    first = min(bench.warm_up, sets - 1)
+    timing = Timing.of(np.array(total[first:]))
+    parts = ", ".join(f"{s} {ms:.1f}" for s, ms in zip(STAGES, np.median(stages[first:], axis=0), strict=True))
+    note = (
+        f"{1e3 / timing.median_ms:.1f} frame sets a second of {len(source.rig.names)} views ({parts} ms); "
+        f"reading the files takes {np.median(reading[first:]):.1f} ms more"
+    )
+    bench.rows.append(Row("Whole pipeline, a frame set", timing, note=note))

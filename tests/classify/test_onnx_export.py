@@ -1,0 +1,80 @@
+"""A network written as ONNX, its weights in half precision, gives what the network gives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+onnx = pytest.importorskip("onnx")
+pytest.importorskip("onnxscript")
+
+import onnxruntime  # noqa: E402
+
+from depthmocap.classify.export import export_onnx  # noqa: E402
+from depthmocap.classify.networks import CLASSES, FastNet  # noqa: E402
+from depthmocap.classify.preprocess import WINDOW  # noqa: E402
+
+
+def seasoned_network() -> FastNet:
+    """A random network whose batch norms do something, as after training."""
+    torch.manual_seed(1)
+    network = FastNet()
+    for module in network.modules():
+        if isinstance(module, torch.nn.BatchNorm2d):
+            torch.nn.init.uniform_(module.weight, 0.7, 1.5)
+            torch.nn.init.normal_(module.bias, 0, 0.2)
+    with torch.no_grad():
+        network.train()
+        for _ in range(2):
+            network(torch.randn(2, 3, 96, 96))
+    return network
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[FastNet, Path]:
+    network = seasoned_network()
+    path = tmp_path_factory.mktemp("export") / "classifier.onnx"
+    assert export_onnx(network, path, {"network": "fast", "images": "0"}) == path
+    return network, path
+
+
+def session(path: Path) -> onnxruntime.InferenceSession:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_same_logits_and_labels(exported: tuple[FastNet, Path], count: int) -> None:
+    network, path = exported
+    windows = torch.randn(count, 3, WINDOW, WINDOW, generator=torch.Generator().manual_seed(count))
+    with torch.no_grad():
+        expected = network.eval()(windows).numpy()
+    (actual,) = session(path).run(["logits"], {"windows": windows.numpy()})
+    assert actual.dtype == np.float32
+    assert actual.shape == (count, 4 * CLASSES, WINDOW // 2, WINDOW // 2)
+    assert np.linalg.norm(actual - expected) < 2e-2 * np.linalg.norm(expected)
+    labels, expected_labels = (x.reshape(count, 4, CLASSES, -1).argmax(2) for x in (actual, expected))
+    assert (labels == expected_labels).mean() > 0.995
+
+
+def test_file(exported: tuple[FastNet, Path]) -> None:
+    network, path = exported
+    parameters = sum(parameter.numel() for parameter in network.parameters())
+    assert 2 * parameters < path.stat().st_size < 2.3 * parameters
+    assert session(path).get_modelmeta().custom_metadata_map == {"network": "fast", "images": "0"}
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+    operations = {node.op_type for node in onnx.load(path).graph.node}
+    assert "BatchNormalization" not in operations
+
+
+def test_the_network_is_left_as_it_was() -> None:
+    network = FastNet((8, 8, 8, 8, 8), (0, 0, 0, 0, 0)).train()
+    before = {name: value.clone() for name, value in network.state_dict().items()}
+    with pytest.raises(OSError):
+        export_onnx(network, Path("/none/of/these/classifier.onnx"), {})
+    assert network.training
+    assert all(torch.equal(value, before[name]) for name, value in network.state_dict().items())

@@ -1,0 +1,44 @@
+"""The command line: help, errors, and that importing the package stays light."""
+
+import subprocess
+import sys
+
+from depthmocap.cli import main
+
+
+def test_help_lists_the_commands(capsys):
+    assert main([]) == 0
+    printed = capsys.readouterr().out
+    for command in ("demo", "run", "label", "synth", "train classifier", "train pose", "evaluate ubc3v"):
+        assert f"depthmocap {command}" in printed
+
+
+def test_unknown_command_is_an_error(capsys):
+    assert main(["dance"]) == 2
+    assert "no command 'dance'" in capsys.readouterr().err
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == "0.1.0"
+
+
+def test_importing_is_light():
+    code = (
+        "import sys, depthmocap, depthmocap.cli\n"
+        "heavy = {'torch', 'anny', 'onnxruntime', 'matplotlib', 'scipy', 'numba'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_running_needs_no_torch(tmp_path):
+    code = (
+        "import sys\n"
+        "sys.modules['torch'] = sys.modules['anny'] = None\n"
+        "import depthmocap.run, depthmocap.demo, depthmocap.label, depthmocap.evaluate.ubc3v, depthmocap.pose.train\n"
+        "from depthmocap.cli import main\n"
+        f"assert main(['synth', '--out', {str(tmp_path)!r}, '--samples', '1']) == 2\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "depthmocap[train]" in done.stderr

@@ -1,0 +1,149 @@
+"""synth, train and evaluate, end to end on tiny data."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from depthmocap import InputError
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.classify.networks import FastNet
+from depthmocap.classify.runtime import Classifier
+from depthmocap.classify.train import ClassifierTraining, load_weights, train_classifier
+from depthmocap.cli import main
+from depthmocap.datasets.ubc3v import Section, sections
+from depthmocap.evaluate.ubc3v import Ubc3vEvaluation, evaluate_ubc3v
+from depthmocap.pose.ridge import RidgeBank
+from depthmocap.pose.train import PoseTraining, train_pose
+from depthmocap.synth.generate import SynthSettings, generate
+
+
+@pytest.fixture(scope="module")
+def root(body_model, tmp_path_factory):
+    """A UBC3V root with a few samples of hard-pose in each split."""
+    path = tmp_path_factory.mktemp("ubc3v")
+    for split, count in (("train", 24), ("valid", 2), ("test", 4)):
+        generate(SynthSettings(path, "hard", split, samples=count, seed=3))
+    return path
+
+
+def test_synth_writes_what_is_read_back(root):
+    (path,) = sections(root, "hard-pose", "test")
+    section = Section(path)
+    assert len(section) == 4
+    frame = section[2]
+    assert len(frame.views) == 3
+    assert frame.true_joints is not None
+    for view in frame.views:
+        assert view.mask is not None
+        assert view.labels is not None
+        distance = np.linalg.norm(view.camera.world_from_camera[:3, 3] - np.median(frame.true_joints, 0))
+        assert 1.2 < distance < 4.6
+        # The joints lie within the body, so nearly all project into its mask, and just behind what is seen there.
+        u, v, z = view.camera.project(frame.true_joints).T
+        column, row = np.round(u).astype(int), np.round(v).astype(int)
+        seen = (column >= 0) & (column < view.camera.width) & (row >= 0) & (row < view.camera.height)
+        inside = view.mask[row[seen], column[seen]]
+        assert inside.mean() > 0.8
+        behind = z[seen][inside] - view.depth_m[row[seen][inside], column[seen][inside]]
+        assert (behind > -0.03).all()
+
+
+def test_synth_is_deterministic_and_resumes(body_model, tmp_path):
+    settings = SynthSettings(tmp_path / "a", "easy", "valid", samples=3, views=1, seed=5)
+    generate(dataclasses.replace(settings, samples=1))
+    generate(settings)
+    generate(dataclasses.replace(settings, out=tmp_path / "b"))
+    for name in ("depthRender", "groundtruth"):
+        for i in (1, 2, 3):
+            file = f"easy-pose/valid/1/images/{name}/Cam1/mayaProject.{i:06d}.png"
+            assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+    with pytest.raises(InputError, match="other settings"):
+        generate(dataclasses.replace(settings, seed=6))
+
+
+def test_evaluation_on_true_labels(root, tmp_path):
+    path = tmp_path / "numbers.json"
+    numbers = evaluate_ubc3v(Ubc3vEvaluation(root, labels="true", json=path))
+    assert numbers["pixel_accuracy"] == 1.0
+    assert numbers["mean_joint_error_cm"] < 6
+    assert numbers["within_10cm"] > 0.8
+    assert json.loads(path.read_text()).keys() == numbers.keys()
+    assert list(numbers["per_joint_error_cm"]) == list(JOINTS)
+
+
+@pytest.mark.parametrize(("views", "combinations"), [(1, 3), (2, 3), (3, 1)])
+def test_evaluation_on_network_labels(root, views, combinations, tmp_path):
+    path = tmp_path / "numbers.json"
+    status = main(["evaluate", "ubc3v", str(root), "--views", str(views), "--limit", "2", "--json", str(path)])
+    assert status == 0
+    numbers = json.loads(path.read_text())
+    assert numbers["frames"] == 2
+    assert numbers["views"] == views
+    assert 0.6 < numbers["pixel_accuracy"] <= 1
+    assert 0.4 < numbers["class_accuracy"] <= 1
+    assert len(numbers["per_class_accuracy"]) == 43
+    assert numbers["mean_joint_error_cm"] < 20
+    assert numbers["ms_per_frame"] > 0
+    assert numbers["joints_missing"] == 0
+
+
+def test_evaluation_says_what_is_missing(tmp_path, capsys):
+    assert main(["evaluate", "ubc3v", str(tmp_path)]) == 2
+    assert "hard-pose" in capsys.readouterr().err
+
+
+def test_train_pose_from_a_folder(root, tmp_path):
+    settings = PoseTraining(tmp_path, data=str(root), labels="true", subset="hard", samples=24, views=(2, 3))
+    path = train_pose(settings)
+    bank = RidgeBank.load(path)
+    assert [model.views for model in bank.models] == [2, 3]
+    numbers = evaluate_ubc3v(Ubc3vEvaluation(root, labels="true", regressor=path))
+    assert numbers["mean_joint_error_cm"] < 40  # 24 samples teach little, but not nothing
+
+
+def test_train_pose_absolute_from_synth(body_model, tmp_path):
+    settings = PoseTraining(tmp_path, labels="true", samples=30, views=(3,), absolute=True)
+    bank = RidgeBank.load(train_pose(settings))
+    assert bank.absolute
+    with pytest.raises(InputError, match="too few"):
+        train_pose(dataclasses.replace(settings, samples=2))
+
+
+def test_train_classifier_resumes_and_exports(root, tmp_path):
+    settings = ClassifierTraining(
+        tmp_path / "run", data=str(root), subset="hard", images=32, batch=8, workers=0, valid_every=16, valid_images=4
+    )
+    train_classifier(settings)
+    history = (settings.out / "history.jsonl").read_text().splitlines()
+    assert [json.loads(row)["step"] for row in history] == [16, 32]
+    assert (settings.out / "curves.png").stat().st_size > 0
+    onnx = train_classifier(dataclasses.replace(settings, images=48))
+    history = (settings.out / "history.jsonl").read_text().splitlines()
+    assert [json.loads(row)["step"] for row in history] == [16, 32, 48]
+    Classifier(onnx)
+    # The weights file holds the same network as the ONNX file.
+    network = FastNet()
+    load_weights(network, settings.out / "classifier.safetensors")
+    window = torch.rand(1, 3, 192, 192)
+    with torch.no_grad():
+        expected = network.eval()(window).numpy()
+    found = Classifier(onnx)._session.run(None, {"windows": window.numpy()})[0]
+    np.testing.assert_allclose(found, expected, atol=0.02 * np.abs(expected).max())
+
+
+def test_train_classifier_on_the_fly(body_model, tmp_path):
+    settings = ClassifierTraining(tmp_path, images=8, batch=4, workers=0, valid_every=8, valid_images=2)
+    train_classifier(settings)
+    row = json.loads((tmp_path / "history.jsonl").read_text())
+    assert np.isfinite(row["loss"])
+
+
+def test_weights_of_another_network_are_refused(tmp_path):
+    from safetensors.torch import save_file
+
+    save_file({"nothing": torch.zeros(1)}, tmp_path / "other.safetensors")
+    with pytest.raises(InputError, match="weights of this network"):
+        load_weights(FastNet(), tmp_path / "other.safetensors")

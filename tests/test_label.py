@@ -1,0 +1,94 @@
+"""Labelling single depth images."""
+
+import cv2
+import numpy as np
+import pytest
+
+from depthmocap import InputError
+from depthmocap.body.model import REST_POSTURE
+from depthmocap.body.regions import REGION
+from depthmocap.datasets.ubc3v import KINECT2, encode_depth
+from depthmocap.geometry import DepthCamera, look_at
+from depthmocap.label import LabelSettings, label_image
+from depthmocap.synth.render import render_body
+
+
+@pytest.fixture(scope="module")
+def picture(default_body):
+    posed = default_body.pose(REST_POSTURE)
+    pose = look_at(np.array([0.0, -2.5, 0.2]), np.array([0.0, 0.0, 0.0]))
+    camera = DepthCamera("c", KINECT2.width, KINECT2.height, KINECT2.fx, KINECT2.fy, KINECT2.cx, KINECT2.cy, pose)
+    return render_body(posed, camera)
+
+
+def settings(tmp_path, depth, **options):
+    path = tmp_path / "depth.png"
+    cv2.imwrite(str(path), np.round(depth * 1000).astype(np.uint16))
+    return LabelSettings(path, tmp_path / "labels.png", **options)
+
+
+def test_labels_have_the_inputs_size_and_mostly_the_truth(picture, tmp_path):
+    depth, truth = picture
+    chosen = settings(tmp_path, depth, fx=KINECT2.fx, preview=tmp_path / "preview.png")
+    labels = label_image(chosen)
+    written = cv2.imread(str(chosen.out), cv2.IMREAD_UNCHANGED)
+    assert written.dtype == np.uint8
+    assert written.shape == depth.shape
+    assert (written == labels).all()
+    assert (labels[truth == 0] == 0).all()
+    assert (labels == truth)[truth > 0].mean() > 0.6
+    assert cv2.imread(str(tmp_path / "preview.png")).shape == (*depth.shape, 3)
+    # Left and right are the subject's own: it faces the camera, so its right is on the picture's left.
+    right = np.nonzero(labels == REGION["chest R"])[1].mean()
+    assert right < np.nonzero(labels == REGION["chest L"])[1].mean()
+
+
+def test_scale_of_depth_is_told_by_its_unit(picture, tmp_path):
+    depth, _ = picture
+    first = label_image(settings(tmp_path, depth))
+    again = label_image(settings(tmp_path, depth / 4, depth_unit=0.004))
+    assert (first == again).mean() > 0.99
+
+
+def test_mask_limits_the_person(picture, tmp_path):
+    depth, truth = picture
+    room = np.where(depth > 0, depth, 4.0)
+    cv2.imwrite(str(tmp_path / "mask.png"), (truth > 0).astype(np.uint8) * 255)
+    labels = label_image(settings(tmp_path, room, mask=tmp_path / "mask.png"))
+    assert (labels[truth == 0] == 0).all()
+    assert (labels[truth > 0] > 0).mean() > 0.9
+
+
+def test_ubc3v_pictures(picture, tmp_path):
+    depth, truth = picture
+    path = tmp_path / "ubc3v.png"
+    cv2.imwrite(str(path), cv2.cvtColor(encode_depth(depth, truth > 0), cv2.COLOR_RGBA2BGRA))
+    labels = label_image(LabelSettings(path, tmp_path / "labels.png", ubc3v=True))
+    assert (labels == truth)[truth > 0].mean() > 0.6
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (np.zeros((40, 50), np.uint8), "16-bit"),
+        (np.zeros((40, 50, 3), np.uint8), "16-bit"),
+        (np.zeros((40, 50), np.uint16), "no person"),
+        (np.full((40, 50), 65535, np.uint16), "no person"),
+    ],
+)
+def test_unsuitable_images(image, message, tmp_path):
+    path = tmp_path / "depth.png"
+    cv2.imwrite(str(path), image)
+    with pytest.raises(InputError, match=message):
+        label_image(LabelSettings(path, tmp_path / "labels.png"))
+
+
+def test_missing_and_broken_files(picture, tmp_path):
+    with pytest.raises(InputError, match="not found"):
+        label_image(LabelSettings(tmp_path / "none.png", tmp_path / "labels.png"))
+    broken = tmp_path / "broken.png"
+    broken.write_bytes(b"\x89PNG\r\n\x1a\nrest is missing")
+    with pytest.raises(InputError, match=r"broken\.png"):
+        label_image(LabelSettings(broken, tmp_path / "labels.png"))
+    with pytest.raises(InputError, match="weights"):
+        label_image(settings(tmp_path, picture[0], weights=tmp_path / "weights.onnx"))

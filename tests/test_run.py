@@ -1,0 +1,161 @@
+"""The whole pipeline on a tiny generated recording, and what it does with bad input."""
+
+import dataclasses
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from depthmocap import InputError, RunSettings, load_pipeline, open_source, run
+from depthmocap.body.model import REST_POSTURE
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.capture.recording import RecordingWriter
+from depthmocap.cli import main
+from depthmocap.export import read_bvh, read_csv, read_trc
+from depthmocap.geometry import DepthCamera, Rig, look_at
+from depthmocap.synth.render import render_body
+
+#: Cameras of different sizes and makes around a person at the origin.
+SIZES = ((320, 288, 252.0), (256, 212, 184.0), (320, 240, 285.0))
+
+
+def cameras() -> tuple[DepthCamera, ...]:
+    made = []
+    for i, (width, height, focal) in enumerate(SIZES):
+        azimuth = 2 * np.pi * i / 3
+        eye = np.array([2.6 * np.sin(azimuth), -2.6 * np.cos(azimuth), 1.2 + 0.3 * i])
+        pose = look_at(eye, np.array([0.0, 0.0, 0.9]))
+        made.append(DepthCamera(f"cam{i}", width, height, focal, focal, width / 2, height / 2, pose))
+    return tuple(made)
+
+
+@pytest.fixture(scope="session")
+def recording(default_body, tmp_path_factory):
+    """Six sets of three cameras at 10 Hz: a body in the rest pose that sways a little; no room around it."""
+    path = tmp_path_factory.mktemp("recordings") / "sway"
+    rig = Rig(cameras())
+    with RecordingWriter(path, rig) as writer:
+        for i in range(6):
+            posture = REST_POSTURE.copy()
+            posture[0, 2] = 0.05 * i
+            posed = default_body.pose(posture)
+            lift = np.array([0.0, 0.0, -float(posed.vertices[:, 2].min())])
+            posed = dataclasses.replace(
+                posed, vertices=posed.vertices + lift.astype(np.float32), joints=posed.joints + lift
+            )
+            frames = {c.name: np.round(render_body(posed, c)[0] * 1000).astype(np.uint16) for c in rig.cameras}
+            writer.write(1_000_000_000 + i * 100_000_000, frames, posed.joints)
+    return path
+
+
+def copy(recording, tmp_path):
+    return shutil.copytree(recording, tmp_path / "copy")
+
+
+def test_run_writes_everything_and_finds_the_joints(recording, tmp_path):
+    summary = run(RunSettings(recording, tmp_path / "out", segment="none", smooth="none"))
+    for name in ("pose.csv", "pose.bvh", "pose.trc", "summary.json", "report.html", "preview.webp"):
+        assert (tmp_path / "out" / name).stat().st_size > 0
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["frames"] == 6
+    assert summary["gaps"] == 0
+    assert summary["frames_by_camera"] == {"cam0": 6, "cam1": 6, "cam2": 6}
+    # A clean rest pose seen from three sides: well within what the method reaches elsewhere.
+    assert summary["error"]["mean_joint_error_cm"] < 8
+    assert summary["error"]["within_10cm"] > 0.8
+    assert set(summary["ms_per_stage"]) == {"read", "segment", "label", "merge", "joints", "smooth"}
+
+
+def test_files_agree_with_each_other(recording, tmp_path):
+    run(RunSettings(recording, tmp_path, segment="none", report=False))
+    times, joints, confidence = read_csv(tmp_path / "pose.csv")
+    _, from_trc = read_trc(tmp_path / "pose.trc")
+    _, from_bvh = read_bvh(tmp_path / "pose.bvh")
+    np.testing.assert_allclose(times, np.arange(6) * 0.1, atol=1e-6)
+    np.testing.assert_allclose(from_trc, joints, atol=1e-4)
+    # The BVH's bones have one length each, so it can only be near.
+    assert np.linalg.norm(from_bvh - joints, axis=-1).mean() < 0.05
+    assert ((confidence > 0) & (confidence <= 1)).all()
+
+
+def test_a_camera_may_lack_a_frame_or_all(recording, tmp_path):
+    path = copy(recording, tmp_path)
+    shutil.rmtree(path / "cam1")
+    sorted((path / "cam2").glob("*.png"))[2].unlink()
+    summary = run(RunSettings(path, tmp_path / "out", segment="none", report=False))
+    assert summary["frames"] == 6
+    assert summary["gaps"] == 0
+    assert summary["frames_by_camera"] == {"cam0": 6, "cam1": 0, "cam2": 5}
+
+
+def test_frames_without_a_person_are_gaps(recording, tmp_path):
+    path = copy(recording, tmp_path)
+    for camera in ("cam0", "cam1", "cam2"):
+        sorted((path / camera).glob("*.png"))[3].unlink()
+    summary = run(RunSettings(path, tmp_path / "out", segment="none", report=False))
+    assert summary["gap_frames"] == [3]
+    assert 3 in summary["bvh_held_frames"]
+    _, joints, confidence = read_csv(tmp_path / "out" / "pose.csv")
+    assert np.isnan(joints[3]).all()
+    assert (confidence[3] == 0).all()
+    assert np.isfinite(joints[[0, 1, 2, 4, 5]]).all()
+
+
+def test_nobody_in_any_frame_is_one_error(recording, tmp_path):
+    # Without a background frame a person who never moves is background.
+    with pytest.raises(InputError, match="no person"):
+        run(RunSettings(recording, tmp_path / "out", report=False))
+
+
+def test_python_api(recording):
+    pipeline = load_pipeline(recording, segment="none", smooth="none")
+    source = open_source(recording)
+    result = pipeline(next(iter(source)))
+    assert result.pose.joints.shape == (len(JOINTS), 3)
+    assert len(result.labels) == 3
+    assert set(np.unique(result.cloud.labels)) <= set(range(1, 44))
+
+
+def test_results_are_deterministic(recording, tmp_path):
+    for name in ("a", "b"):
+        run(RunSettings(recording, tmp_path / name, segment="none", report=False))
+    assert (tmp_path / "a" / "pose.csv").read_bytes() == (tmp_path / "b" / "pose.csv").read_bytes()
+
+
+def test_a_camera_more_or_less_moves_the_joints_little(recording):
+    pipeline = load_pipeline(recording, segment="none", smooth="none")
+    frames = next(iter(open_source(recording)))
+    assert frames.true_joints is not None
+    for chosen in ((0,), (0, 1), (0, 1, 2)):
+        views = tuple(frames.views[i] for i in chosen)
+        joints = pipeline(dataclasses.replace(frames, views=views)).pose.joints
+        assert np.linalg.norm(joints - frames.true_joints, axis=-1).mean() < 0.15
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda path: (path / "rig.json").unlink(), "rig.json"),
+        (lambda path: (path / "rig.json").write_text("{"), "not valid JSON"),
+        (lambda path: [shutil.rmtree(path / f"cam{i}") for i in range(3)], "no camera|no frames|any frame"),
+        (lambda path: next((path / "cam0").glob("*.png")).write_bytes(b"no picture"), "cam0"),
+        (lambda path: (path / "cam0" / "first.png").write_bytes(b""), "first.png"),
+    ],
+)
+def test_bad_recordings_are_one_clear_line(recording, tmp_path, spoil, message, capsys):
+    path = copy(recording, tmp_path)
+    for stale in sorted((path / "cam0").glob("*.png"))[1:]:
+        stale.unlink()
+    spoil(path)
+    status = main(["run", str(path), "--out", str(tmp_path / "out"), "--segment", "none", "--no-report"])
+    printed = capsys.readouterr().err
+    assert status == 2
+    assert "Traceback" not in printed
+    import re
+
+    assert re.search(message, printed), printed
+
+
+def test_missing_recording(tmp_path, capsys):
+    assert main(["run", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]) == 2
+    assert "nowhere" in capsys.readouterr().err
