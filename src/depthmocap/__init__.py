@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from depthmocap.body.skeleton import JOINTS as JOINTS
     from depthmocap.capture.recording import Recording as Recording
     from depthmocap.pipeline import Pipeline as Pipeline
-    from depthmocap.run import RunSettings as RunSettings
-    from depthmocap.run import load_pipeline as load_pipeline
-    from depthmocap.run import open_source as open_source
-    from depthmocap.run import run as run
+    from depthmocap.offline import RunSettings as RunSettings
+    from depthmocap.offline import load_pipeline as load_pipeline
+    from depthmocap.offline import open_source as open_source
+    from depthmocap.offline import run as run
 
 __version__ = "0.1.0"
 
@@ -33,10 +33,10 @@ _LAZY = {
     "JOINTS": "depthmocap.body.skeleton",
     "Pipeline": "depthmocap.pipeline",
     "Recording": "depthmocap.capture.recording",
-    "RunSettings": "depthmocap.run",
-    "load_pipeline": "depthmocap.run",
-    "open_source": "depthmocap.run",
-    "run": "depthmocap.run",
+    "RunSettings": "depthmocap.offline",
+    "load_pipeline": "depthmocap.offline",
+    "open_source": "depthmocap.offline",
+    "run": "depthmocap.offline",
 }
 
 __all__ = [

@@ -28,7 +28,7 @@ class _Command:
 
 _COMMANDS = (
     _Command("demo", "depthmocap.demo", "DemoSettings", "demo", "motion capture of the packaged recording"),
-    _Command("run", "depthmocap.run", "RunSettings", "run", "motion capture of a recording or a UBC3V section"),
+    _Command("run", "depthmocap.offline", "RunSettings", "run", "motion capture of a recording or a UBC3V section"),
     _Command("label", "depthmocap.label", "LabelSettings", "label_image", "body parts of one depth image"),
     _Command("synth", "depthmocap.synth.generate", "SynthSettings", "generate", "make labelled depth data", "train"),
     _Command("train classifier", "depthmocap.classify.train", "ClassifierTraining", "train_classifier",

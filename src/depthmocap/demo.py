@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from depthmocap.run import RunSettings, run
+from depthmocap.offline import RunSettings, run
 
 
 @dataclasses.dataclass(frozen=True)

@@ -70,13 +70,13 @@ def _synth_samples(settings: PoseTraining) -> Iterator[_Sample]:
 
 
 def _folder_samples(settings: PoseTraining) -> Iterator[_Sample]:
-    """Samples of a UBC3V split; blocks of 50 neighbouring frames are one group of the cross-validation."""
+    """Samples of a UBC3V split; blocks of ten neighbouring frames are one group of the cross-validation."""
     from depthmocap.datasets.ubc3v import iterate
 
     frames = iterate(Path(settings.data), f"{settings.subset}-pose", "train", settings.samples)
     for index, frame in enumerate(frames):
         if frame.true_joints is not None:
-            yield _Sample(frame.views, frame.true_joints, index // 50)
+            yield _Sample(frame.views, frame.true_joints, index // 10)
 
 
 def label_sample(

@@ -25,7 +25,7 @@ from depthmocap.export import CsvWriter, write_bvh, write_trc
 from depthmocap.frames import FrameSource, Pose
 from depthmocap.pipeline import STAGES, Pipeline, load_ridge
 from depthmocap.pose.smooth import weights_for
-from depthmocap.run_report import Pictures, write_run_report
+from depthmocap.offline_report import Pictures, write_run_report
 
 Smoothing = Literal["auto", "none", "average"]
 
