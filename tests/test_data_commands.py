@@ -114,7 +114,7 @@ def test_train_pose_absolute_from_synth(body_model, tmp_path):
 
 def test_train_classifier_resumes_and_exports(root, tmp_path):
     settings = ClassifierTraining(
-        tmp_path / "run", data=str(root), subset="hard", images=32, batch=8, workers=0, valid_every=16, valid_images=4
+        tmp_path / "run", data=str(root), images=32, batch=8, workers=0, valid_every=16, valid_images=4
     )
     train_classifier(settings)
     history = (settings.out / "history.jsonl").read_text().splitlines()

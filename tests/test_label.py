@@ -7,6 +7,7 @@ import pytest
 from depthmocap import InputError
 from depthmocap.body.model import REST_POSTURE
 from depthmocap.body.regions import REGION
+from depthmocap.cli import main
 from depthmocap.datasets.ubc3v import KINECT2, encode_depth
 from depthmocap.geometry import DepthCamera, look_at
 from depthmocap.label import LabelSettings, label_image
@@ -29,7 +30,7 @@ def settings(tmp_path, depth, **options):
 
 def test_labels_have_the_inputs_size_and_mostly_the_truth(picture, tmp_path):
     depth, truth = picture
-    chosen = settings(tmp_path, depth, fx=KINECT2.fx, preview=tmp_path / "preview.png")
+    chosen = settings(tmp_path, depth, fx=KINECT2.fx, preview=(tmp_path / "preview.png",))
     labels = label_image(chosen)
     written = cv2.imread(str(chosen.out), cv2.IMREAD_UNCHANGED)
     assert written.dtype == np.uint8
@@ -65,6 +66,14 @@ def test_ubc3v_pictures(picture, tmp_path):
     cv2.imwrite(str(path), cv2.cvtColor(encode_depth(depth, truth > 0), cv2.COLOR_RGBA2BGRA))
     labels = label_image(LabelSettings(path, tmp_path / "labels.png", ubc3v=True))
     assert (labels == truth)[truth > 0].mean() > 0.6
+
+
+@pytest.mark.parametrize(("given", "name"), [([], "labels_preview.png"), (["seen.png"], "seen.png")])
+def test_preview_with_and_without_a_name(picture, tmp_path, given, name, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    chosen = settings(tmp_path, picture[0])
+    assert main(["label", str(chosen.depth), "--out", "labels.png", "--preview", *given]) == 0
+    assert (tmp_path / name).is_file()
 
 
 @pytest.mark.parametrize(

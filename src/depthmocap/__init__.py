@@ -21,11 +21,11 @@ from depthmocap.geometry import DepthCamera, Rig, load_rig, save_rig
 if TYPE_CHECKING:
     from depthmocap.body.skeleton import JOINTS as JOINTS
     from depthmocap.capture.recording import Recording as Recording
-    from depthmocap.pipeline import Pipeline as Pipeline
     from depthmocap.offline import RunSettings as RunSettings
     from depthmocap.offline import load_pipeline as load_pipeline
     from depthmocap.offline import open_source as open_source
     from depthmocap.offline import run as run
+    from depthmocap.pipeline import Pipeline as Pipeline
 
 __version__ = "0.1.0"
 

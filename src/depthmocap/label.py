@@ -31,7 +31,7 @@ class LabelSettings:
         fx: focal length and principal point in pixels; a field of view of 70° is assumed where they are missing.
         depth_unit: metres of one depth unit.
         mask: image whose non-zero pixels are the person; without it every valid pixel is.
-        preview: also write a coloured picture here.
+        preview: also write a coloured picture: under the name given, or beside the labels as NAME_preview.png.
         ubc3v: read UBC3V's 8-bit RGBA depth with its alpha as the mask.
         weights: a classifier.onnx of your own.
     """
@@ -44,7 +44,7 @@ class LabelSettings:
     cy: float | None = None
     depth_unit: float = 0.001
     mask: Path | None = None
-    preview: Path | None = None
+    preview: tuple[Path, ...] | None = None
     ubc3v: bool = False
     weights: Path | None = None
 
@@ -112,7 +112,8 @@ def label_image(settings: LabelSettings) -> UInt8[ndarray, "h w"]:
     if settings.preview is not None:
         from depthmocap.evaluate.pictures import colour_labels
 
-        _write(settings.preview, np.ascontiguousarray(colour_labels(labels, depth)[..., ::-1]))
+        picture = settings.preview[0] if settings.preview else settings.out.with_stem(settings.out.stem + "_preview")
+        _write(picture, np.ascontiguousarray(colour_labels(labels, depth)[..., ::-1]))
     return labels
 
 

@@ -23,9 +23,9 @@ from depthmocap.errors import InputError
 from depthmocap.evaluate.metrics import joint_metrics
 from depthmocap.export import CsvWriter, write_bvh, write_trc
 from depthmocap.frames import FrameSource, Pose
+from depthmocap.offline_report import Pictures, write_run_report
 from depthmocap.pipeline import STAGES, Pipeline, load_ridge
 from depthmocap.pose.smooth import weights_for
-from depthmocap.offline_report import Pictures, write_run_report
 
 Smoothing = Literal["auto", "none", "average"]
 
@@ -156,6 +156,12 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     return summary
 
 
+def _recorded_rate(poses: list[Pose]) -> float:
+    """Frames a second of the recording itself, by its median interval."""
+    intervals = np.diff([pose.timestamp_ns for pose in poses])
+    return float(1e9 / np.median(intervals)) if len(intervals) and np.median(intervals) > 0 else 30.0
+
+
 def _plain(value: Any) -> Any:
     """The value with NaN as null, which JSON has no number for."""
     if isinstance(value, dict):
@@ -187,6 +193,7 @@ def _summary(
         "gaps": len(gaps),
         "gap_frames": gaps.tolist(),
         "bvh_held_frames": held,
+        "recorded_frames_per_second": _recorded_rate(poses),
         "frames_by_camera": delivered,
         "frames_per_second": float(1e3 / per_frame.mean()),
         "ms_per_frame": {"p50": float(np.median(per_frame)), "p95": float(np.quantile(per_frame, 0.95))},

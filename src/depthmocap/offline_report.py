@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from depthmocap.evaluate.charts import joint_error_bars, precision_curve
@@ -20,53 +20,67 @@ from depthmocap.pipeline import Result
 
 #: Frames of the preview and stills of the report, at most.
 _PREVIEW, _STILLS = 60, 3
+#: Points of a preview picture.
+_PREVIEW_POINTS = 12_000
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Moment:
+    """What the preview shows of one frame; points are in the Z-up world."""
+
+    points: Float[ndarray, "n 3"]
+    labels: UInt8[ndarray, "n"]
+    joints: Float[ndarray, "18 3"]
+    true_joints: Float[ndarray, "18 3"] | None
 
 
 class Pictures:
-    """Keeps what the report draws while frames go by: a few stills, and small frames of an animation."""
+    """Keeps what the report draws while frames go by: a few stills, and thinned clouds for an animation."""
 
     def __init__(self, frames: int, up: str) -> None:
         self._up = up
-        self._every = max(1, -(-frames // _PREVIEW))
+        self.every = max(1, -(-frames // _PREVIEW))
         stills = np.linspace(0, frames, _STILLS + 2)[1:-1].astype(int)
         self._still_frames = set(stills.tolist())
         self._index = 0
-        self._bounds: ndarray | None = None
         self.stills: list[tuple[int, ndarray, ndarray]] = []
-        self.preview: list[ndarray] = []
+        self._moments: list[_Moment] = []
 
     def add(self, frames: FrameSet, result: Result) -> None:
         """Take what is wanted of one frame."""
         index, self._index = self._index, self._index + 1
-        due = index in self._still_frames or (
-            self._still_frames and index > max(self._still_frames) and not self.stills
-        )
-        wanted = index % self._every == 0
-        if not (due or wanted) or not len(result.cloud):
+        if not len(result.cloud):
             return
-        joints = result.pose.joints
-        if wanted:
-            picture = cloud_picture(
-                result.cloud.points_world, result.cloud.labels, joints, frames.true_joints, self._up,
-                size=(640, 360), bounds_m=self._fixed_bounds(result.cloud.points_world),
-            )  # fmt: skip
-            self.preview.append(picture)
-        if due:
+        cloud, joints = result.cloud, result.pose.joints
+        if index % self.every == 0:
+            thin = slice(None, None, max(1, len(cloud) // _PREVIEW_POINTS))
+            self._moments.append(_Moment(cloud.points_world[thin], cloud.labels[thin], joints, frames.true_joints))
+        if index in self._still_frames:
             views = [dataclasses.replace(v, mask=m) for v, m in zip(frames.views, result.masks, strict=True)]
             strip = labelled_depth_strip(views, list(result.labels))
-            cloud = cloud_picture(
-                result.cloud.points_world, result.cloud.labels, joints, frames.true_joints, self._up, size=(960, 560)
+            picture = cloud_picture(
+                cloud.points_world, cloud.labels, joints, frames.true_joints, self._up, size=(960, 560)
             )
-            self.stills.append((index, strip, cloud))
+            self.stills.append((index, strip, picture))
 
-    def _fixed_bounds(self, points: Float[ndarray, "n 3"]) -> Float[ndarray, "2 3"]:
-        """A box around where the person was first seen, with room to move, so that the preview does not jump."""
-        if self._bounds is None:
-            points = points.astype(np.float64) @ z_up_from(self._up).T
-            middle, low = np.median(points, 0), np.quantile(points[:, 2], 0.005)
-            self._bounds = np.array([[middle[0] - 1.2, middle[1] - 1.2, low - 0.1],
-                                     [middle[0] + 1.2, middle[1] + 1.2, low + 2.2]])  # fmt: skip
-        return self._bounds
+    def preview(self) -> list[UInt8[ndarray, "h w 3"]]:
+        """Pictures of the animation, all of one box of the world that holds the person throughout."""
+        if not self._moments:
+            return []
+        turn = z_up_from(self._up).T
+        lows, highs = [], []
+        for moment in self._moments:
+            points = moment.points.astype(np.float64) @ turn
+            lows.append(np.quantile(points, 0.005, axis=0))
+            highs.append(np.quantile(points, 0.995, axis=0))
+        bounds = np.stack([np.min(lows, 0) - 0.15, np.max(highs, 0) + 0.15])
+        return [
+            cloud_picture(
+                moment.points, moment.labels, moment.joints, moment.true_joints, self._up,
+                size=(640, 360), bounds_m=bounds,
+            )
+            for moment in self._moments
+        ]  # fmt: skip
 
 
 def write_run_report(
@@ -78,8 +92,9 @@ def write_run_report(
 ) -> None:
     """Write report.html and preview.webp into ``out``."""
     sections = [_overview(summary)]
-    if pictures.preview:
-        animation(pictures.preview, 10.0, out / "preview.webp")
+    preview = pictures.preview()
+    if preview:
+        animation(preview, summary["recorded_frames_per_second"] / pictures.every, out / "preview.webp")
         sections.append(
             ReportSection(
                 "In motion",

@@ -36,7 +36,8 @@ class ClassifierTraining:
         out: folder of the run: settings.json, history.jsonl, curves.png, checkpoint.pt, classifier.safetensors/.onnx.
         data: "synth" makes pictures on the fly; a folder is read as a UBC3V root (its --subset's train and valid).
         postures: folder of BVH clips; without it postures come from the packaged prior.
-        subset: who is in the pictures: easy, inter, hard (as in the paper) or open (all builds).
+        subset: who is in the pictures: easy, inter, hard (as in the paper) or open (all builds); by default open
+            bodies are made, and hard is read from a folder.
         network: which network.
         images: how many pictures to train on.
         minutes: stop after this much training instead (the learning rate then follows the clock), 0 for no limit.
@@ -50,7 +51,7 @@ class ClassifierTraining:
     out: Path
     data: str = "synth"
     postures: Path | None = None
-    subset: Subset = "open"
+    subset: Subset | None = None
     network: Literal["fast"] = "fast"
     images: int = 100_000
     minutes: float = 0.0
@@ -64,10 +65,15 @@ class ClassifierTraining:
     valid_images: int = 320
     device: str = "cpu"
 
+    @property
+    def people(self) -> Subset:
+        """The subset, its default resolved."""
+        return self.subset or ("open" if self.data == "synth" else "hard")
+
 
 class _SynthWindows(torch.utils.data.Dataset):  # type: ignore[type-arg]
     def __init__(self, settings: ClassifierTraining, first: int) -> None:
-        simple = settings.subset == "easy"
+        simple = settings.people == "easy"
         self.settings, self.first = settings, first
         self.postures = posture_source(settings.postures, "train", simple, TRAINING_VARIATION)
 
@@ -75,7 +81,7 @@ class _SynthWindows(torch.utils.data.Dataset):  # type: ignore[type-arg]
         return 1 << 40
 
     def __getitem__(self, index: int) -> tuple[ndarray, ndarray]:
-        return training_window(self.settings.seed, self.first + index, self.settings.subset, self.postures, Spoiling())
+        return training_window(self.settings.seed, self.first + index, self.settings.people, self.postures, Spoiling())
 
 
 class _FolderWindows(torch.utils.data.Dataset):  # type: ignore[type-arg]
@@ -84,7 +90,7 @@ class _FolderWindows(torch.utils.data.Dataset):  # type: ignore[type-arg]
     def __init__(self, root: Path, settings: ClassifierTraining, split: str, first: int) -> None:
         from depthmocap.datasets.ubc3v import CAMERAS, Section, sections
 
-        self.sections = [Section(path) for path in sections(root, f"{settings.subset}-pose", split)]
+        self.sections = [Section(path) for path in sections(root, f"{settings.people}-pose", split)]
         self.index = [
             (s, i, v)
             for s, section in enumerate(self.sections)
@@ -123,9 +129,9 @@ class _Batches(torch.utils.data.Sampler):  # type: ignore[type-arg]
 def _validation(settings: ClassifierTraining) -> tuple[Tensor, Tensor]:
     """The fixed validation windows: postures of the valid split, bodies and noise of a seed of their own."""
     if settings.data == "synth":
-        postures = posture_source(settings.postures, "valid", settings.subset == "easy")
+        postures = posture_source(settings.postures, "valid", settings.people == "easy")
         windows = [
-            training_window(settings.seed + 1_000_003, i, settings.subset, postures, None)
+            training_window(settings.seed + 1_000_003, i, settings.people, postures, None)
             for i in range(settings.valid_images)
         ]
     else:

@@ -27,12 +27,13 @@ class PoseTraining:
     """Settings of one fit of the pose stage.
 
     Attributes:
-        out: folder for ridge.npz, which ``run`` and ``evaluate`` load, settings.json and features.npz.
+        out: folder for ridge.npz, which ``run`` and ``evaluate`` load, and settings.json.
         data: "synth" makes samples; a folder is read as a UBC3V root (its <subset>-pose/train).
         labels: fit on the true labels or on the network's.
         weights: a classifier.onnx of your own.
         postures: folder of BVH clips; without it postures come from the packaged prior.
-        subset: who is in the samples: easy, inter, hard, or open (all builds).
+        subset: who is in the samples: easy, inter, hard, or open (all builds); by default open bodies are made, and
+            hard is read from a folder.
         samples: postures.
         views: numbers of cameras to fit a regressor for; the last also serves more cameras.
         absolute: features in the world's frame, the paper's form, instead of relative to the cloud's centre.
@@ -43,11 +44,16 @@ class PoseTraining:
     labels: Literal["true", "network"] = "network"
     weights: Path | None = None
     postures: Path | None = None
-    subset: Literal["easy", "inter", "hard", "open"] = "open"
+    subset: Literal["easy", "inter", "hard", "open"] | None = None
     samples: int = 3000
     views: tuple[int, ...] = (1, 2, 3, 4)
     absolute: bool = False
     seed: int = 0
+
+    @property
+    def people(self) -> Literal["easy", "inter", "hard", "open"]:
+        """The subset, its default resolved."""
+        return self.subset or ("open" if self.data == "synth" else "hard")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -62,10 +68,10 @@ def _synth_samples(settings: PoseTraining) -> Iterator[_Sample]:
     from depthmocap.synth.sample import draw_sample
     from depthmocap.synth.sensor import random_noise
 
-    source = posture_source(settings.postures, "train", settings.subset == "easy", TRAINING_VARIATION)
+    source = posture_source(settings.postures, "train", settings.people == "easy", TRAINING_VARIATION)
     for index in range(settings.samples):
         rng = np.random.default_rng([settings.seed, 77, index])
-        sample = draw_sample(rng, settings.subset, source, max(settings.views), noise=random_noise(rng))
+        sample = draw_sample(rng, settings.people, source, max(settings.views), noise=random_noise(rng))
         yield _Sample(sample.views, sample.joints, sample.group)
 
 
@@ -73,7 +79,7 @@ def _folder_samples(settings: PoseTraining) -> Iterator[_Sample]:
     """Samples of a UBC3V split; blocks of ten neighbouring frames are one group of the cross-validation."""
     from depthmocap.datasets.ubc3v import iterate
 
-    frames = iterate(Path(settings.data), f"{settings.subset}-pose", "train", settings.samples)
+    frames = iterate(Path(settings.data), f"{settings.people}-pose", "train", settings.samples)
     for index, frame in enumerate(frames):
         if frame.true_joints is not None:
             yield _Sample(frame.views, frame.true_joints, index // 10)
