@@ -19,46 +19,29 @@ from depthmocap.geometry.transforms import rotation_between, z_up_from
 
 SPLITS = ("train", "valid", "test")
 
-#: BVH joint of each posture bone, by naming scheme. A scheme fits when a file has all of its joints.
-_SIDES = (("R", "Right", "r"), ("L", "Left", "l"))
+_LIMB_BONES = ("clavicle", "upper_arm", "forearm", "hand", "thigh", "shin", "foot")
+_TRUNK_BONES = ("pelvis", "spine_low", "spine_mid", "spine_up", "neck", "head")
+
+
+def _scheme(trunk: str, right: str, left: str, limbs: str) -> dict[str, str]:
+    """BVH joint of each posture bone: names of the trunk, prefixes of the two sides, names of the limbs."""
+    table = dict(zip(_TRUNK_BONES, trunk.split(), strict=True))
+    for side, prefix in (("R", right), ("L", left)):
+        for bone, joint in zip(_LIMB_BONES, limbs.split(), strict=True):
+            table[f"{bone}.{side}"] = prefix + joint
+    return table
+
+
+#: By naming scheme; one fits when a file has all of its joints.
 _SCHEMES: dict[str, dict[str, str]] = {
-    "cmu": {
-        "pelvis": "Hips", "spine_low": "LowerBack", "spine_mid": "Spine", "spine_up": "Spine1",
-        "neck": "Neck1", "head": "Head",
-        **{
-            f"{bone}.{s}": f"{side}{joint}"
-            for s, side, _ in _SIDES
-            for bone, joint in (
-                ("clavicle", "Shoulder"), ("upper_arm", "Arm"), ("forearm", "ForeArm"), ("hand", "Hand"),
-                ("thigh", "UpLeg"), ("shin", "Leg"), ("foot", "Foot"),
-            )
-        },
-    },
-    "daz": {
-        "pelvis": "hip", "spine_low": "abdomen", "spine_mid": "abdomen", "spine_up": "chest",
-        "neck": "neck", "head": "head",
-        **{
-            f"{bone}.{s}": f"{side}{joint}"
-            for s, _, side in _SIDES
-            for bone, joint in (
-                ("clavicle", "Collar"), ("upper_arm", "Shldr"), ("forearm", "ForeArm"), ("hand", "Hand"),
-                ("thigh", "Thigh"), ("shin", "Shin"), ("foot", "Foot"),
-            )
-        },
-    },
-    "motionbuilder": {
-        "pelvis": "Hips", "spine_low": "lowerback", "spine_mid": "Chest", "spine_up": "Chest2",
-        "neck": "Neck", "head": "Head",
-        **{
-            f"{bone}.{s}": f"{side}{joint}"
-            for s, side, _ in _SIDES
-            for bone, joint in (
-                ("clavicle", "Collar"), ("upper_arm", "Shoulder"), ("forearm", "Elbow"), ("hand", "Wrist"),
-                ("thigh", "Hip"), ("shin", "Knee"), ("foot", "Ankle"),
-            )
-        },
-    },
-}  # fmt: skip
+    "cmu": _scheme(
+        "Hips LowerBack Spine Spine1 Neck1 Head", "Right", "Left", "Shoulder Arm ForeArm Hand UpLeg Leg Foot"
+    ),
+    "daz": _scheme("hip abdomen abdomen chest neck head", "r", "l", "Collar Shldr ForeArm Hand Thigh Shin Foot"),
+    "motionbuilder": _scheme(
+        "Hips lowerback Chest Chest2 Neck Head", "Right", "Left", "Collar Shoulder Elbow Wrist Hip Knee Ankle"
+    ),
+}
 
 #: Bones whose direction at rest differs between skeletons (T-pose, arms down): from their own head to this bone's.
 _AIMS: dict[str, tuple[str, str]] = {
