@@ -67,13 +67,17 @@ def test_window_shows_the_person(default_body: Body, distance_m: float) -> None:
     assert window.inputs.shape == (3, WINDOW, WINDOW)
     assert window.inputs.dtype == np.float32
     relative, mask, scale = window.inputs
-    np.testing.assert_array_equal(mask, window.labels_from_image(labels) > 0)
+    # All of the person, but for the odd pixel that stands alone in depth.
+    person = window.labels_from_image(labels) > 0
+    assert not (mask > person).any()
+    assert (mask < person).sum() <= 0.001 * person.sum()
     # The person's longer side fills PERSON pixels of the window, and lies in its middle.
     rows, columns = np.nonzero(mask)
     sides = (np.ptp(rows) + 1, np.ptp(columns) + 1)
     assert PERSON - 2 <= max(sides) <= PERSON + 2
     for places in (rows, columns):
         assert (places.min() + places.max()) / 2 == pytest.approx((WINDOW - 1) / 2, abs=1.5)
+    # The depth's origin is the person's median, which an odd pixel moves by less than a millimetre.
     centre_m = np.median(depth[labels > 0])
     assert not relative[mask == 0].any()
     assert np.median(relative[mask > 0]) == pytest.approx(0, abs=0.05)
@@ -81,9 +85,9 @@ def test_window_shows_the_person(default_body: Body, distance_m: float) -> None:
     v = np.floor(window.top + (rows + 0.5) * window.step).astype(int)
     u = np.floor(window.left + (columns + 0.5) * window.step).astype(int)
     np.testing.assert_allclose(
-        relative[rows, columns], np.clip((depth[v, u] - centre_m) / DEPTH_SCALE_M, -2, 2), atol=1e-4
+        relative[rows, columns], np.clip((depth[v, u] - centre_m) / DEPTH_SCALE_M, -2, 2), atol=2e-3
     )
-    np.testing.assert_allclose(scale, np.log2(centre_m * window.step / camera.fx / PIXEL_M), rtol=1e-5)
+    np.testing.assert_allclose(scale, np.log2(centre_m * window.step / camera.fx / PIXEL_M), atol=1e-3)
 
 
 def test_far_things_in_the_mask_are_clipped() -> None:
@@ -100,9 +104,9 @@ def test_nobody() -> None:
     depth = np.full((60, 80), 2.0, dtype=np.float32)
     mask = np.zeros(depth.shape, dtype=bool)
     assert make_window(depth, mask, camera) is None
-    mask.ravel()[: MIN_PIXELS - 1] = True
+    mask[20 : 20 + MIN_PIXELS // 2 - 1, 30:32] = True
     assert make_window(depth, mask, camera) is None
-    mask.ravel()[:MIN_PIXELS] = True
+    mask[20 : 20 + MIN_PIXELS // 2, 30:32] = True
     assert make_window(depth, mask, camera) is not None
     assert make_window(np.zeros_like(depth), np.ones_like(mask), camera) is None
 
@@ -169,3 +173,23 @@ def test_person_cut_by_the_border(default_body: Body) -> None:
     assert not window.inputs[1][in_window == 255].any()
     back, _ = window.labels_to_image(np.where(in_window == 255, 0, in_window), full_confidence(), person)
     assert (back == labels)[person].mean() > 0.9
+
+
+def test_stray_pixels_do_not_change_the_window(default_body: Body) -> None:
+    """Flying pixels near the camera or far behind the body would move the depth and the box of the whole person."""
+    camera = camera_at(2.5)
+    depth, labels = picture(default_body, camera)
+    clean = make_window(depth, labels > 0, camera)
+    rng = np.random.default_rng(0)
+    spoilt, mask = depth.copy(), labels > 0
+    v, u = rng.integers(0, depth.shape[0], 60), rng.integers(0, depth.shape[1], 60)
+    outside = ~mask[v, u]
+    spoilt[v[outside], u[outside]] = rng.uniform(0.4, 5.0, outside.sum())
+    mask[v[outside], u[outside]] = True
+    window = make_window(spoilt, mask, camera)
+    assert clean is not None
+    assert window is not None
+    assert (window.left, window.top, window.step) == (clean.left, clean.top, clean.step)
+    np.testing.assert_allclose(window.inputs, clean.inputs, atol=1e-3)
+    # And no more than a few of the body's own pixels are taken for stray.
+    assert window.inputs[1].sum() > 0.98 * (window.labels_from_image(labels) > 0).sum()

@@ -189,3 +189,16 @@ def test_bad_files_are_refused(tmp_path):
         spoil(**changes)
         with pytest.raises(InputError, match=message):
             RidgePose.load(path)
+
+
+def test_clipping_bounds_what_a_stray_feature_does(tmp_path):
+    rng = np.random.default_rng(5)
+    features, joints, groups = make_data(rng)
+    model = fit_ridge(features, joints, groups, strengths=[1.0], clip=3.0)
+    model.save(tmp_path / "model.npz")
+    assert RidgePose.load(tmp_path / "model.npz").clip == 3.0
+    stray = features[:1].copy()
+    stray[0, 0] = 1000.0
+    bound = np.linalg.norm(model.weights[0].reshape(18, 3), axis=1).max() * 6
+    moved = np.linalg.norm(model.predict(stray) - model.predict(features[:1]), axis=-1)
+    assert 0 < moved.max() <= bound + 1e-6

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from depthmocap.geometry.cameras import DepthCamera
-from depthmocap.kernels.window import gather, gather_labels, scatter
+from depthmocap.kernels.window import gather, gather_labels, scatter, supported
 
 #: Side of the window, and of the person's bounding box in it (pixels).
 WINDOW, PERSON = 192, 180
@@ -22,6 +22,9 @@ WINDOW, PERSON = 192, 180
 DEPTH_SCALE_M = 0.5
 #: A typical size of a window pixel on the person (metres), the origin of the third channel.
 PIXEL_M = 0.01
+#: A pixel belongs to a surface if so many of its neighbours are within this of it; others fly at a silhouette, and a
+#: few of them, far from the body, would confuse the network about all of it.
+NEIGHBOURS, NEAR_M, NEAR_PER_M = 2, 0.03, 0.01
 #: Masks with fewer pixels than this hold no person.
 MIN_PIXELS = 40
 
@@ -56,22 +59,26 @@ def make_window(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], came
 
     Args:
         depth_m: metres along z.
-        mask: the person's pixels; those without depth are ignored.
+        mask: the person's pixels; those without depth, and stray ones beside no surface, are left out.
     """
     mask = mask & (depth_m > 0)
     rows = np.flatnonzero(mask.any(1))
     if not len(rows):
         return None
     columns = np.flatnonzero(mask.any(0))
-    top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
-    depths = depth_m[top:bottom, left:right][mask[top:bottom, left:right]]
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    solid = np.zeros_like(mask)
+    supported(depth_m[box], mask[box], NEAR_M, NEAR_PER_M, NEIGHBOURS, solid[box])
+    rows, columns = np.flatnonzero(solid.any(1)), np.flatnonzero(solid.any(0))
+    depths = depth_m[solid]
     if len(depths) < MIN_PIXELS:
         return None
+    top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
     centre_m = float(np.median(depths))
     step = max(bottom - top, right - left) / PERSON
     x0 = (left + right) / 2 - WINDOW / 2 * step
     y0 = (top + bottom) / 2 - WINDOW / 2 * step
     inputs = np.zeros((3, WINDOW, WINDOW), dtype=np.float32)
-    gather(depth_m, mask, x0, y0, step, centre_m, DEPTH_SCALE_M, inputs)
+    gather(depth_m, solid, x0, y0, step, centre_m, DEPTH_SCALE_M, inputs)
     inputs[2] = np.log2(centre_m * step / camera.fx / PIXEL_M)
     return Window(inputs, float(x0), float(y0), float(step))

@@ -60,7 +60,9 @@ def _window_accuracy(classifier: Classifier, views: list[View], accuracy: PixelA
     for (view, window), (labels, _) in zip(found, classifier.label_windows([w for _, w in found]), strict=True):
         assert view.labels is not None
         truth = window.labels_from_image(view.labels, UNLABELLED)
-        inside = window.inputs[1] > 0
+        # All of the person counts, also what the window leaves out as stray: it goes without a label, which is wrong.
+        assert view.mask is not None
+        inside = window.labels_from_image((view.mask & (view.depth_m > 0)).astype(np.uint8)) > 0
         accuracy.add(truth[inside], labels[inside])
 
 

@@ -5,6 +5,24 @@ import numpy as np
 
 
 @numba.njit(cache=True, nogil=True)
+def supported(depth, mask, tolerance_m, tolerance_per_m, fewest, out):
+    """Masked pixels with at least ``fewest`` of their 8 masked neighbours near them in depth; ``out`` false before."""
+    height, width = depth.shape
+    for y in range(height):
+        for x in range(width):
+            if not mask[y, x]:
+                continue
+            z = depth[y, x]
+            tolerance = tolerance_m + tolerance_per_m * z
+            count = 0
+            for v in range(max(y - 1, 0), min(y + 2, height)):
+                for u in range(max(x - 1, 0), min(x + 2, width)):
+                    if mask[v, u] and abs(depth[v, u] - z) < tolerance:
+                        count += 1
+            out[y, x] = count > fewest  # the pixel counted itself
+
+
+@numba.njit(cache=True, nogil=True)
 def gather(depth, mask, left, top, step, centre_m, scale_m, out):
     """Fill ``out[0]`` with scaled relative depth and ``out[1]`` with the mask; both must be zero before.
 

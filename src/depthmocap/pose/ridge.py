@@ -39,6 +39,8 @@ class RidgePose:
 
     ``mean`` and ``scale`` standardise the features; ``absolute`` tells how they must be computed (see
     ``cloud_features``). ``bias`` holds the joints of the mean features, in metres. ``labels`` is "true" or "network".
+    Standardised features are clipped to ±``clip``: a few mislabelled points far off, which move a region's minimum or
+    maximum by a metre, then move the joints by centimetres. The paper does not clip.
     """
 
     mean: Float32[ndarray, "1032"]
@@ -50,6 +52,7 @@ class RidgePose:
     absolute: bool = False
     views: int = 0
     labels: str = "true"
+    clip: float = np.inf
 
     def predict(self, features: Float[ndarray, "n f"]) -> Float32[ndarray, "n 18 3"]:
         """Joints in the frame of the features, metres; NaN features count as the training mean.
@@ -57,7 +60,8 @@ class RidgePose:
         Raises:
             InputError: when there are not 1032 features.
         """
-        return (_standardise(features, self.mean, self.scale) @ self.weights + self.bias).reshape(-1, len(JOINTS), 3)
+        x = _standardise(features, self.mean, self.scale, self.clip)
+        return (x @ self.weights + self.bias).reshape(-1, len(JOINTS), 3)
 
     def save(self, path: Path) -> None:
         """Write the model as one .npz file."""
@@ -146,6 +150,7 @@ def fit_ridge(
     absolute: bool = False,
     views: int = 0,
     labels: str = "true",
+    clip: float = np.inf,
 ) -> RidgePose:
     """Ridge regression whose strength minimises the mean joint error in cross-validation over groups.
 
@@ -155,6 +160,7 @@ def fit_ridge(
 
     Args:
         absolute: recorded in the model, as are ``views`` (0: any number) and ``labels`` ("true" or "network").
+        clip: bound of standardised features, in deviations; see :class:`RidgePose`.
 
     Raises:
         InputError: when there are not 1032 features, when features, joints or strengths are not usable numbers, or when
@@ -169,7 +175,7 @@ def fit_ridge(
     if np.isinf(features).any():
         raise InputError("features must be finite, or NaN for regions that nobody sees")
     mean, scale = _moments(features)
-    x = _standardise(features, mean, scale)
+    x = _standardise(features, mean, scale, clip)
     y = joints.reshape(len(joints), -1).astype(np.float64)
 
     if len(candidates) == 1:
@@ -194,7 +200,7 @@ def fit_ridge(
     if np.isfinite(rounded).all() and np.abs(x @ (rounded - weights)).max() <= _ROUNDING_M:
         weights = rounded
     strength = float(candidates[best])
-    return RidgePose(mean, scale, weights, bias.astype(np.float32), strength, JOINTS, absolute, views, labels)
+    return RidgePose(mean, scale, weights, bias.astype(np.float32), strength, JOINTS, absolute, views, labels, clip)
 
 
 def _check_count(features: ndarray) -> None:
@@ -212,11 +218,11 @@ def _moments(features: ndarray) -> tuple[ndarray, ndarray]:
     return mean.astype(np.float32), np.where(constant, 1.0, deviation).astype(np.float32)
 
 
-def _standardise(features: ndarray, mean: ndarray, scale: ndarray) -> ndarray:
+def _standardise(features: ndarray, mean: ndarray, scale: ndarray, clip: float) -> ndarray:
     _check_count(features)
     x = (features.astype(np.float32, copy=False) - mean) / scale
     x[np.isnan(x)] = 0
-    return x
+    return np.clip(x, -clip, clip, out=x)
 
 
 def _products(x: ndarray, y: ndarray) -> ndarray:
@@ -256,6 +262,7 @@ def _save(models: tuple[RidgePose, ...], path: Path) -> None:
             absolute=np.array([model.absolute for model in models]),
             views=np.array([model.views for model in models]),
             labels=np.array([model.labels for model in models]),
+            clip=np.array([model.clip for model in models], dtype=np.float64),
         )
 
 
@@ -274,7 +281,7 @@ def _load(path: Path) -> tuple[RidgePose, ...]:
     outputs = 3 * len(JOINTS)
     expected = {
         "mean": (FEATURE_COUNT,), "scale": (FEATURE_COUNT,), "weights": (FEATURE_COUNT, outputs), "bias": (outputs,),
-        "strength": (), "absolute": (), "views": (), "labels": (),
+        "strength": (), "absolute": (), "views": (), "labels": (), "clip": (),
     }  # fmt: skip
     count = len(np.atleast_1d(arrays.get("views", [])))
     for name, shape in expected.items():
@@ -295,6 +302,7 @@ def _load(path: Path) -> tuple[RidgePose, ...]:
             absolute=bool(arrays["absolute"][i]),
             views=int(arrays["views"][i]),
             labels=str(arrays["labels"][i]),
+            clip=float(arrays["clip"][i]),
         )
         for i in range(count)
     )

@@ -21,6 +21,10 @@ from depthmocap.pose.cloud import LabelledView, merge_views
 from depthmocap.pose.features import FEATURE_COUNT, cloud_features
 from depthmocap.pose.ridge import RidgeBank, fit_ridge
 
+#: Bound of standardised features, in deviations. On network labels of one view it took the mean error from 10.7 to
+#: 9.2 cm, with three views it changed nothing.
+CLIP = 3.0
+
 
 @dataclasses.dataclass(frozen=True)
 class PoseTraining:
@@ -155,7 +159,10 @@ def train_pose(settings: PoseTraining, console: Console | None = None) -> Path:
     (settings.out / "settings.json").write_text(json.dumps(described, indent=1) + "\n")
     models = []
     for count, (features, joints, groups) in collect(settings, console).items():
-        model = fit_ridge(features, joints, groups, absolute=settings.absolute, views=count, labels=settings.labels)
+        model = fit_ridge(
+            features, joints, groups, absolute=settings.absolute, views=count, labels=settings.labels,
+            clip=np.inf if settings.absolute else CLIP,
+        )  # fmt: skip
         error = np.linalg.norm(model.predict(features) - joints, axis=-1).mean() * 100
         console.print(f"{count} views: {len(features)} samples, strength {model.strength:g}, fit {error:.2f} cm")
         models.append(model)
