@@ -25,7 +25,7 @@ _TRUNK_BONES = ("pelvis", "spine_low", "spine_mid", "spine_up", "neck", "head")
 
 def _scheme(trunk: str, right: str, left: str, limbs: str) -> dict[str, str]:
     """BVH joint of each posture bone: names of the trunk, prefixes of the two sides, names of the limbs."""
-    table = dict(zip(_TRUNK_BONES, trunk.split(), strict=True))
+    table: dict[str, str] = dict(zip(_TRUNK_BONES, trunk.split(), strict=True))
     for side, prefix in (("R", right), ("L", left)):
         for bone, joint in zip(_LIMB_BONES, limbs.split(), strict=True):
             table[f"{bone}.{side}"] = prefix + joint
