@@ -38,6 +38,8 @@ _COMMANDS = (
              "learn the posture prior from motion capture", "train"),
     _Command("evaluate ubc3v", "depthmocap.evaluate.ubc3v", "Ubc3vEvaluation", "evaluate_ubc3v",
              "accuracy on UBC3V or a set of its layout"),
+    _Command("evaluate labels2d", "depthmocap.evaluate.labels2d", "Labels2dEvaluation", "evaluate_labels2d",
+             "labels of real depth against joints found in colour"),
 )  # fmt: skip
 
 

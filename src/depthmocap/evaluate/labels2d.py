@@ -1,0 +1,133 @@
+"""``depthmocap evaluate labels2d``: are the regions of real depth images where a 2D pose estimator saw the joints?"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from PIL import Image, UnidentifiedImageError
+from rich.console import Console
+from rich.table import Table
+
+from depthmocap.body.regions import MIRROR, REGION
+from depthmocap.classify.runtime import Classifier
+from depthmocap.errors import InputError
+from depthmocap.frames import View
+from depthmocap.geometry.cameras import DepthCamera
+
+#: Regions that a joint seen from any side may lie on; R and L are added for its side.
+ALLOWED: dict[str, tuple[str, ...]] = {
+    "nose": ("face R", "face L", "forehead"),
+    "Shoulder": ("shoulder front", "shoulder back", "collar", "upper arm", "upper back", "chest"),
+    "Elbow": ("upper arm", "elbow", "forearm"),
+    "Hand": ("hand", "wrist"),
+    "Hip": ("belly", "lower back", "thigh"),
+    "Knee": ("knee", "thigh", "shin"),
+    "Foot": ("ankle", "forefoot"),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Labels2dEvaluation:
+    """Check labels of real depth images against joints found in colour images.
+
+    Attributes:
+        folder: NAME.png (16-bit depth of one person, 0 elsewhere) and joints2d.json, which holds
+            {NAME: {joint: [u, v, confidence]}} with the joints nose, RShoulder, LElbow, … of the table above.
+        fx: focal length in pixels, by default 1.07 of the width.
+        depth_unit: metres of one depth unit.
+        confidence: joints below it are left out.
+        radius: an allowed region within so many pixels of the joint counts.
+        json: file for all numbers.
+        weights: a classifier.onnx of your own.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    fx: float | None = None
+    depth_unit: float = 0.001
+    confidence: float = 0.9
+    radius: int = 3
+    json: Path | None = None
+    weights: Path | None = None
+
+
+def _allowed(joint: str) -> list[int]:
+    if joint == "nose":
+        return [REGION[name] for name in ALLOWED[joint]]
+    side, kind = joint[:1], joint[1:]
+    if side not in "RL" or kind not in ALLOWED:
+        raise InputError(f"unknown joint {joint!r}: expected nose, or R or L and one of {list(ALLOWED)[1:]}")
+    return [REGION[f"{name} {side}"] for name in ALLOWED[kind]]
+
+
+def evaluate_labels2d(settings: Labels2dEvaluation, console: Console | None = None) -> dict[str, Any]:
+    """Count joints on a region of their own, and on the other side's; returns the numbers.
+
+    Raises:
+        InputError: files that are missing or not of the layout.
+    """
+    path = settings.folder / "joints2d.json"
+    try:
+        people = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise InputError(f"{path} not found") from None
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path} is not valid JSON: {error}") from None
+    classifier = Classifier(settings.weights)
+    right: dict[str, int] = {}
+    total: dict[str, int] = {}
+    swapped: list[str] = []
+    pictures = 0
+    for name, joints in sorted(people.items()):
+        picture = settings.folder / f"{name}.png"
+        if not picture.is_file():
+            continue
+        pictures += 1
+        try:
+            with Image.open(picture) as image:
+                depth = np.array(image).astype(np.float32) * np.float32(settings.depth_unit)
+        except (UnidentifiedImageError, OSError) as error:
+            raise InputError(f"{picture} is not a readable image: {error}") from None
+        if depth.ndim != 2:
+            raise InputError(f"{picture}: depth must be one channel, got shape {depth.shape}")
+        height, width = depth.shape
+        focal = settings.fx or 1.07 * width
+        camera = DepthCamera("camera", width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+        ((labels, _),) = classifier.label_views([View(camera, depth)], [depth > 0])
+        for joint, (u, v, confidence) in joints.items():
+            if confidence < settings.confidence:
+                continue
+            column, row, reach = round(u), round(v), settings.radius
+            near = labels[max(row - reach, 0) : row + reach + 1, max(column - reach, 0) : column + reach + 1]
+            kind, allowed = joint.lstrip("RL"), _allowed(joint)
+            total[kind] = total.get(kind, 0) + 1
+            if np.isin(near, allowed).any():
+                right[kind] = right.get(kind, 0) + 1
+            elif joint != "nose" and np.isin(near, MIRROR[allowed]).any():
+                swapped.append(f"{name} {joint}")
+    if not total:
+        raise InputError(f"{settings.folder}: no picture has a joint of confidence {settings.confidence} or more")
+    numbers = {
+        "pictures": pictures,
+        "joints": sum(total.values()),
+        "on_own_region": sum(right.values()) / sum(total.values()),
+        "by_joint": {kind: right.get(kind, 0) / count for kind, count in total.items()},
+        "count_by_joint": total,
+        "on_other_side": swapped,
+    }
+    if settings.json is not None:
+        settings.json.write_text(json.dumps(numbers, indent=1) + "\n")
+    console = console or Console(stderr=True)
+    table = Table(title=f"{settings.folder.name}: {pictures} pictures, {numbers['joints']} joints")
+    for heading in ("joint", "on a region of its own", "of"):
+        table.add_column(heading, justify="left" if heading == "joint" else "right")
+    for kind, count in total.items():
+        table.add_row(kind, str(right.get(kind, 0)), str(count))
+    table.add_row("all", f"{numbers['on_own_region']:.1%}", str(numbers["joints"]))
+    console.print(table)
+    console.print(f"on the other side's region: {len(swapped)} {', '.join(swapped)}")
+    return numbers
