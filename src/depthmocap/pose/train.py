@@ -21,8 +21,8 @@ from depthmocap.pose.cloud import LabelledView, merge_views
 from depthmocap.pose.features import FEATURE_COUNT, cloud_features
 from depthmocap.pose.ridge import RidgeBank, fit_ridge
 
-#: Bound of standardised features of network labels, in deviations. Mislabelled specks move a region's minimum and maximum:
-#: with one view it took a tenth off the mean error, with three it changed nothing. True labels have no specks.
+#: Bound of standardised features of network labels, in deviations. Mislabelled specks move a region's minimum and
+#: maximum: with one view it took a tenth off the mean error, with three it changed nothing. True labels have no specks.
 CLIP = 3.0
 
 
