@@ -108,6 +108,11 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
         raise InputError(f"cannot write to {settings.out}: {error.strerror}") from None
     with console.status("reading the background and the weights"):
         pipeline = load_pipeline(source, settings.segment, settings.smooth, settings.weights, settings.regressor)
+        # The first frame ever compiles the inner loops, which would be taken for the machine's speed.
+        for frames in source:
+            pipeline(frames)
+            break
+        pipeline.reset()
     pictures = Pictures(len(source), source.up) if settings.report else None
 
     poses: list[Pose] = []
