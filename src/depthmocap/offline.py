@@ -16,6 +16,7 @@ from numpy import ndarray
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from depthmocap.body.skeleton import JOINTS
 from depthmocap.capture.recording import Recording
 from depthmocap.capture.segment import PersonSegmenter
 from depthmocap.classify.runtime import Classifier
@@ -115,9 +116,8 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
         pipeline.reset()
     pictures = Pictures(len(source), source.up) if settings.report else None
 
-    poses: list[Pose] = []
-    truths: list[Float[ndarray, "18 3"]] = []
-    times: list[dict[str, float]] = []
+    # One row a frame, appended at once, so that an interruption cannot part them.
+    rows: list[tuple[Pose, Float[ndarray, "18 3"], dict[str, float]]] = []
     delivered: dict[str, int] = dict.fromkeys(source.rig.names, 0) if isinstance(source, Recording) else {}
     interrupted = False
     columns = (
@@ -132,20 +132,20 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
                 read_ms = (time.perf_counter() - before) * 1e3
                 result = pipeline(frames)
                 csv.write(result.pose)
-                poses.append(result.pose)
-                truths.append(frames.true_joints if frames.true_joints is not None else np.full((18, 3), np.nan))
-                times.append({"read": read_ms, **result.milliseconds})
+                truth = frames.true_joints if frames.true_joints is not None else np.full((len(JOINTS), 3), np.nan)
+                rows.append((result.pose, truth, {"read": read_ms, **result.milliseconds}))
                 for view in frames.views:
                     delivered[view.camera.name] = delivered.get(view.camera.name, 0) + 1
                 if pictures is not None:
                     pictures.add(frames, result)
-                recent_ms = np.mean([sum(row.values()) for row in times[-30:]])
+                recent_ms = np.mean([sum(row[2].values()) for row in rows[-30:]])
                 progress.update(task, advance=1, rate=f"{1e3 / recent_ms:.0f} frames/s")
                 before = time.perf_counter()
         except KeyboardInterrupt:
             interrupted = True
-            console.print(f"stopped after {len(poses)} of {len(source)} frames; writing what was done")
+            console.print(f"stopped after {len(rows)} of {len(source)} frames; writing what was done")
 
+    poses, truths, times = [row[0] for row in rows], [row[1] for row in rows], [row[2] for row in rows]
     problems = [*getattr(source, "problems", []), *getattr(pipeline.segment, "problems", [])]
     if not poses or all(np.isnan(pose.joints).all() for pose in poses):
         hint = " ".join(problems) or "try --segment none, or add a background.png for each camera"
