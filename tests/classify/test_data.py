@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from depthmocap.body.model import BodyModel
-from depthmocap.body.regions import REGION
+from depthmocap.body.regions import REGION, UNLABELLED
 from depthmocap.classify import data
-from depthmocap.classify.data import UNLABELLED, Spoiling, training_window
+from depthmocap.classify.data import Spoiling, training_window
 from depthmocap.classify.preprocess import WINDOW
 from depthmocap.synth.postures import TRAINING_VARIATION, PosturePrior
 from depthmocap.synth.sample import Sensor

@@ -54,6 +54,9 @@ _TABLE: tuple[tuple[int, tuple[int, int, int], str], ...] = (
 )
 
 REGION_COUNT = 43
+#: Label of a person's pixel whose region is not known (in UBC3V one whose colour is no region's, nearly all on borders
+#: between regions); it takes no part in training and accuracy.
+UNLABELLED = 255
 REGION_NAMES: tuple[str, ...] = ("background", *(name for _, _, name in _TABLE))
 REGION: dict[str, int] = {name: i for i, name in enumerate(REGION_NAMES)}
 

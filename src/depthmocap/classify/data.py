@@ -9,7 +9,7 @@ import numpy as np
 from numpy import ndarray
 
 from depthmocap.body.model import BodyModel, PosedBody
-from depthmocap.body.regions import REGION
+from depthmocap.body.regions import REGION, UNLABELLED
 from depthmocap.classify.preprocess import make_window
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.synth.postures import PostureSource
@@ -17,8 +17,6 @@ from depthmocap.synth.render import render_body
 from depthmocap.synth.sample import KINECT2, CameraRange, Sensor, Subset, random_body, random_camera
 from depthmocap.synth.sensor import apply_noise, random_noise
 
-#: Label of pixels whose region is unknown; they take no part in training and accuracy.
-UNLABELLED = 255
 #: Kinect 2, Azure Kinect narrow (binned), PrimeSense, RealSense; the picture's scale is what matters here.
 _SENSORS = (
     KINECT2,

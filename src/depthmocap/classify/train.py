@@ -9,7 +9,7 @@ import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -18,12 +18,14 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from depthmocap.classify.data import UNLABELLED, Spoiling, training_window
+from depthmocap.body.regions import UNLABELLED
+from depthmocap.classify.data import Spoiling, training_window
 from depthmocap.classify.export import export_onnx
 from depthmocap.classify.networks import NETWORKS, masked_logits
 from depthmocap.classify.preprocess import make_window
 from depthmocap.errors import InputError
 from depthmocap.evaluate.metrics import PixelAccuracy
+from depthmocap.settings import plain_settings
 from depthmocap.synth.postures import TRAINING_VARIATION, posture_source
 from depthmocap.synth.sample import Subset
 
@@ -156,10 +158,6 @@ def evaluate_windows(network: nn.Module, inputs: Tensor, labels: Tensor, device:
     return accuracy
 
 
-def _settings_json(settings: ClassifierTraining) -> dict[str, Any]:
-    return {k: str(v) if isinstance(v, Path) else v for k, v in dataclasses.asdict(settings).items()}
-
-
 def train_classifier(settings: ClassifierTraining) -> Path:
     """Train, or go on training, and export; returns the ONNX file.
 
@@ -167,7 +165,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     """
     out = settings.out
     out.mkdir(parents=True, exist_ok=True)
-    (out / "settings.json").write_text(json.dumps(_settings_json(settings), indent=1) + "\n")
+    (out / "settings.json").write_text(json.dumps(plain_settings(settings), indent=1) + "\n")
     torch.manual_seed(settings.seed)
     network = NETWORKS[settings.network]().to(settings.device).to(memory_format=torch.channels_last)  # pyright: ignore
     if settings.start is not None:

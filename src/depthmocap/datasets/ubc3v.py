@@ -23,7 +23,7 @@ from numpy import ndarray
 from PIL import Image
 from scipy.io import loadmat
 
-from depthmocap.body.regions import REGION_COUNT, UBC3V_COLOURS
+from depthmocap.body.regions import REGION_COUNT, UBC3V_COLOURS, UNLABELLED
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.datasets.ubc3v_camera import KINECT2, camera_pose, kinect2_camera, load_ray_table, maya_angles
 from depthmocap.errors import InputError
@@ -62,9 +62,6 @@ SPLITS = ("train", "valid", "test")
 CAMERAS = ("Cam1", "Cam2", "Cam3")
 FRAMES_PER_SECTION = 1001
 FRAMES_PER_SECOND = 30
-
-#: A person pixel whose colour is no region's: nearly all lie on the borders between regions.
-UNLABELLED = 255
 
 NEAR_CM, FAR_CM = 50.0, 800.0
 #: Scale of the stored depth, from the authors' toolkit.

@@ -26,6 +26,7 @@ from depthmocap.frames import View
 from depthmocap.pipeline import load_ridge
 from depthmocap.pose.cloud import merge_views
 from depthmocap.pose.estimate import estimate_joints
+from depthmocap.pose.train import label_sample
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,11 +91,7 @@ def evaluate_ubc3v(settings: Ubc3vEvaluation, console: Console | None = None) ->
             if not views or frame.true_joints is None:
                 continue
             start = time.perf_counter()
-            if classifier is not None:
-                found = classifier.label_views(views, [view.mask for view in views if view.mask is not None])
-                parts = [(view, labels, weights) for view, (labels, weights) in zip(views, found, strict=True)]
-            else:
-                parts = [(view, view.labels, None) for view in views if view.labels is not None]
+            parts = label_sample(tuple(views), settings.labels, classifier)
             labelled_ms = (time.perf_counter() - start) * 1e3
             for chosen in itertools.combinations(parts, min(settings.views, len(parts))):
                 start = time.perf_counter()

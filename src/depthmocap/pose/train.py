@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 from numpy import ndarray
 from rich.console import Console
 from rich.progress import Progress
@@ -20,6 +20,10 @@ from depthmocap.frames import View
 from depthmocap.pose.cloud import LabelledView, merge_views
 from depthmocap.pose.features import FEATURE_COUNT, cloud_features
 from depthmocap.pose.ridge import RidgeBank, fit_ridge
+from depthmocap.settings import plain_settings
+from depthmocap.synth.postures import TRAINING_VARIATION, posture_source
+from depthmocap.synth.sample import Sample, draw_sample
+from depthmocap.synth.sensor import random_noise
 
 #: Bound of standardised features of network labels, in deviations. Mislabelled specks move a region's minimum and
 #: maximum: with one view it took a tenth off the mean error, with three it changed nothing. True labels have no specks.
@@ -60,33 +64,21 @@ class PoseTraining:
         return self.subset or ("open" if self.data == "synth" else "hard")
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Sample:
-    views: tuple[View, ...]
-    joints: Float[ndarray, "18 3"]
-    group: int
-
-
-def _synth_samples(settings: PoseTraining) -> Iterator[_Sample]:
-    from depthmocap.synth.postures import TRAINING_VARIATION, posture_source
-    from depthmocap.synth.sample import draw_sample
-    from depthmocap.synth.sensor import random_noise
-
+def _synth_samples(settings: PoseTraining) -> Iterator[Sample]:
     source = posture_source(settings.postures, "train", settings.people == "easy", TRAINING_VARIATION)
     for index in range(settings.samples):
         rng = np.random.default_rng([settings.seed, 77, index])
-        sample = draw_sample(rng, settings.people, source, max(settings.views), noise=random_noise(rng))
-        yield _Sample(sample.views, sample.joints, sample.group)
+        yield draw_sample(rng, settings.people, source, max(settings.views), noise=random_noise(rng))
 
 
-def _folder_samples(settings: PoseTraining) -> Iterator[_Sample]:
+def _folder_samples(settings: PoseTraining) -> Iterator[Sample]:
     """Samples of a UBC3V split; blocks of ten neighbouring frames are one group of the cross-validation."""
     from depthmocap.datasets.ubc3v import iterate
 
     frames = iterate(Path(settings.data), f"{settings.people}-pose", "train", settings.samples)
     for index, frame in enumerate(frames):
         if frame.true_joints is not None:
-            yield _Sample(frame.views, frame.true_joints, index // 10)
+            yield Sample(frame.views, frame.true_joints, index // 10)
 
 
 def label_sample(
@@ -155,8 +147,7 @@ def train_pose(settings: PoseTraining, console: Console | None = None) -> Path:
     """
     console = console or Console(stderr=True)
     settings.out.mkdir(parents=True, exist_ok=True)
-    described = {k: str(v) if isinstance(v, Path) else v for k, v in dataclasses.asdict(settings).items()}
-    (settings.out / "settings.json").write_text(json.dumps(described, indent=1) + "\n")
+    (settings.out / "settings.json").write_text(json.dumps(plain_settings(settings), indent=1) + "\n")
     models = []
     for count, (features, joints, groups) in collect(settings, console).items():
         model = fit_ridge(

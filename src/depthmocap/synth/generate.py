@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from depthmocap.errors import InputError
+from depthmocap.settings import plain_settings
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,7 +60,7 @@ def generate(settings: SynthSettings, console: Console | None = None) -> Path:
     subset = f"{settings.subset}-pose"
     folder = settings.out / subset / settings.split
     folder.mkdir(parents=True, exist_ok=True)
-    described = {k: str(v) if isinstance(v, Path) else v for k, v in dataclasses.asdict(settings).items()}
+    described = plain_settings(settings)
     card = folder / "settings.json"
     if card.exists():
         earlier = json.loads(card.read_text())

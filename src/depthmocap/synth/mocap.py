@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
+from scipy.spatial.transform import Rotation
 
 from depthmocap.body.posture import POSTURE_BONES, POSTURE_INDEX, heading, local_rotations, turn_posture
 from depthmocap.errors import InputError, missing_extra
@@ -157,15 +158,11 @@ def _rest_direction(joint: Any) -> Float[ndarray, "3"]:
 
 
 def _quaternion_matrices(q: Float[ndarray, "j n 4"]) -> Float[ndarray, "j n 3 3"]:
-    from scipy.spatial.transform import Rotation
-
     return Rotation.from_quat(q[..., [1, 2, 3, 0]].reshape(-1, 4)).as_matrix().reshape(*q.shape[:-1], 3, 3)
 
 
 def _unflipped(postures: Float[ndarray, "n 20 3"], frame_time: float) -> Bool[ndarray, "n"]:
     """Frames more than a few frames away from a flip of any bone."""
-    from scipy.spatial.transform import Rotation
-
     flat = Rotation.from_rotvec(postures.reshape(-1, 3))
     n, bones = postures.shape[:2]
     keep = np.ones(n, dtype=bool)

@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from depthmocap.body.model import BodyModel, Phenotype
-from depthmocap.body.posture import POSTURE_BONES, mirror_posture, turn_posture, world_rotations
+from depthmocap.body.posture import POSTURE_BONES, POSTURE_PARENTS, mirror_posture, turn_posture, world_rotations
 from depthmocap.errors import InputError
 from depthmocap.synth.mocap import Clip, read_clips, without_heading
 
@@ -51,8 +51,6 @@ def joint_positions(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n 20 
     lengths = {"pelvis": 0.0, "spine_low": 0.12, "spine_mid": 0.12, "spine_up": 0.16, "neck": 0.1, "head": 0.2,
                "clavicle": 0.17, "upper_arm": 0.29, "forearm": 0.25, "hand": 0.15, "thigh": 0.42, "shin": 0.42,
                "foot": 0.18}  # fmt: skip
-    from depthmocap.body.posture import POSTURE_PARENTS
-
     world = world_rotations(postures)
     ends = np.zeros((*postures.shape[:-1], 3))
     for i, (name, parent) in enumerate(zip(POSTURE_BONES, POSTURE_PARENTS, strict=True)):

@@ -1,0 +1,12 @@
+"""Settings as plain values, for the settings.json that every run leaves beside its results."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+
+def plain_settings(settings: Any) -> dict[str, Any]:
+    """The fields of a settings dataclass as JSON can hold them: paths become strings."""
+    return {k: str(v) if isinstance(v, Path) else v for k, v in dataclasses.asdict(settings).items()}
