@@ -19,7 +19,8 @@ def draw(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     """Depth (inf where nothing is) and face of camera-frame triangles."""
     depth = np.full((HEIGHT, WIDTH), np.inf, dtype=np.float32)
     face = np.full((HEIGHT, WIDTH), -1, dtype=np.int32)
-    rasterise(points.astype(np.float32), faces.astype(np.int32), FX, FY, CX, CY, depth, face, 0.15)
+    indices = np.arange(len(faces), dtype=np.int32)
+    rasterise(points.astype(np.float32), faces.astype(np.int32), indices, FX, FY, CX, CY, 0.15, False, depth, face)
     return depth, face
 
 

@@ -36,6 +36,23 @@ class Phenotype:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class BoneTransforms:
+    """What carries a mesh from rest into a posture: ``point → rotations[b] @ point + offsets[b]``; heads in the world."""
+
+    rotations: Float[ndarray, "b 3 3"]
+    offsets: Float[ndarray, "b 3"]
+    heads: Float[ndarray, "b 3"]
+
+    def skin(
+        self, rest_vertices: Float[ndarray, "v 3"], indices: Int[ndarray, "v k"], weights: Float[ndarray, "v k"]
+    ) -> Float[ndarray, "v 3"]:
+        """Linear blend skinning of vertices (float32) by the bones ``indices``; weights sorted, largest first."""
+        out = np.empty_like(rest_vertices)
+        skin(rest_vertices, indices, weights, self.rotations, self.offsets, out)
+        return out
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class PosedBody:
     """A posed mesh in the world, metres: vertices, the 18 joints, and what belongs to the topology."""
 
@@ -66,8 +83,8 @@ class Body:
         """The same skeleton in another skin, for clothes."""
         return dataclasses.replace(self, rest_vertices=rest_vertices)
 
-    def pose(self, posture: Float[ndarray, "20 3"]) -> PosedBody:
-        """The body in a posture (see ``body.posture``), its pelvis where it was at rest."""
+    def bone_transforms(self, posture: Float[ndarray, "20 3"]) -> BoneTransforms:
+        """How every bone moves from rest to a posture (see ``body.posture``), the pelvis where it was at rest."""
         model = self.model
         rotations = world_rotations(posture)[model.posture_of_bone]
         heads = np.empty_like(self.rest_heads)
@@ -76,12 +93,17 @@ class Body:
             offsets = self.rest_heads[bones] - self.rest_heads[parents]
             heads[bones] = heads[parents] + np.einsum("bij,bj->bi", rotations[parents], offsets)
         offsets = heads - np.einsum("bij,bj->bi", rotations, self.rest_heads)
-        vertices = np.empty_like(self.rest_vertices)
-        skin(
-            self.rest_vertices, model.skin_indices, model.skin_weights,
-            rotations.astype(np.float32), offsets.astype(np.float32), vertices,
-        )  # fmt: skip
-        return PosedBody(vertices, heads[model.joint_bones].astype(np.float64), model)
+        return BoneTransforms(rotations.astype(np.float32), offsets.astype(np.float32), heads)
+
+    def pose(self, posture: Float[ndarray, "20 3"]) -> PosedBody:
+        """The body in a posture."""
+        return self.pose_with(self.bone_transforms(posture))
+
+    def pose_with(self, transforms: BoneTransforms) -> PosedBody:
+        """The body moved by transforms of its own skeleton."""
+        model = self.model
+        vertices = transforms.skin(self.rest_vertices, model.skin_indices, model.skin_weights)
+        return PosedBody(vertices, transforms.heads[model.joint_bones].astype(np.float64), model)
 
 
 class BodyModel:

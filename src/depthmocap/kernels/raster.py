@@ -1,4 +1,4 @@
-"""A z-buffer: triangles into a depth image and the index of the nearest face."""
+"""A z-buffer: triangles into a depth image and a value of the nearest triangle."""
 
 import numba
 import numpy as np
@@ -6,12 +6,13 @@ import numpy as np
 
 # Not all of fastmath: the background is infinitely far.
 @numba.njit(cache=True, fastmath={"contract", "arcp", "nsz", "reassoc"}, nogil=True)
-def rasterise(points, faces, fx, fy, cx, cy, depth, face_index, near):
+def rasterise(points, faces, face_values, fx, fy, cx, cy, near, two_sided, depth, values):
     """Draw triangles of camera-frame points (x right, y down, z forward) over ``depth``.
 
-    ``depth`` holds metres along z and ``inf`` (or what was drawn before) elsewhere; ``face_index`` takes the face.
-    Depth is exact on the plane of a triangle: 1/z is linear in the image. Triangles that reach nearer than ``near``
-    are left out.
+    ``depth`` holds metres along z and ``inf`` (or what was drawn before) elsewhere; where a triangle is nearer,
+    ``depth`` takes its depth and ``values`` its ``face_values``. Depth is exact on the plane of a triangle: 1/z is
+    linear in the image. Triangles that reach nearer than ``near`` are left out, and unless ``two_sided`` those seen
+    from behind.
     """
     height, width = depth.shape
     n = points.shape[0]
@@ -33,7 +34,7 @@ def rasterise(points, faces, fx, fy, cx, cy, depth, face_index, near):
         u0, v0, u1, v1, u2, v2 = u[i], v[i], u[j], v[j], u[k], v[k]
         area = (u1 - u0) * (v2 - v0) - (u2 - u0) * (v1 - v0)
         # A front face is counter-clockwise seen from outside; v points down, so its area is negative here.
-        if area >= 0:
+        if area == 0 or (area > 0 and not two_sided):
             continue
         left = max(np.int32(np.ceil(min(u0, u1, u2))), 0)
         right = min(np.int32(np.floor(max(u0, u1, u2))), width - 1)
@@ -52,4 +53,4 @@ def rasterise(points, faces, fx, fy, cx, cy, depth, face_index, near):
                     z = 1 / (b0 * w0 + b1 * w1 + b2 * w2)
                     if z < depth[y, x]:
                         depth[y, x] = z
-                        face_index[y, x] = f
+                        values[y, x] = face_values[f]

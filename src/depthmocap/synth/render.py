@@ -1,9 +1,12 @@
-"""Depth and region labels of a posed body, seen by a depth camera."""
+"""What a perfect depth camera sees: depth, region labels and materials of a person, dressed, before anything."""
 
 from __future__ import annotations
 
+import dataclasses
+import enum
+
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from depthmocap.body.model import PosedBody
@@ -13,23 +16,122 @@ from depthmocap.kernels.raster import rasterise
 
 #: Nothing nearer than this is drawn (metres).
 NEAR_M = 0.15
+#: Cloth and hair this far before the skin (metres) tell nothing of it: the label is then 0.
+REACH_M = 0.25
+
+
+class Material(enum.IntEnum):
+    """What a pixel shows; sensors read some materials worse than others. ``person`` takes SKIN to SHOE."""
+
+    NOTHING = 0
+    SKIN = 1
+    CLOTH = 2
+    DARK_CLOTH = 3
+    HAIR = 4
+    SHOE = 5
+    SCENE = 6
+    OBJECT = 7
+    SECOND_PERSON = 8
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Layer:
+    """A posed mesh over the skin (a garment, hair, a shoe), in the world, metres; both sides are seen."""
+
+    vertices: Float[ndarray, "v 3"]
+    faces: Int[ndarray, "f 3"]
+    material: Material
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PosedPerson:
+    """A posed body and what it wears."""
+
+    body: PosedBody
+    layers: tuple[Layer, ...] = ()
+
+    @property
+    def vertices(self) -> Float[ndarray, "v 3"]:
+        """The skin's vertices."""
+        return self.body.vertices
+
+    @property
+    def joints(self) -> Float[ndarray, "18 3"]:
+        """The 18 joints."""
+        return self.body.joints
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rendering:
+    """One view without noise. ``labels`` are of the skin, seen through clothes and hair as in the paper (Sec. III);
+    0 where there is no skin behind them or it is more than ``REACH_M`` away."""
+
+    depth_m: Float[ndarray, "h w"]
+    labels: UInt8[ndarray, "h w"]
+    material: UInt8[ndarray, "h w"]
+
+    @property
+    def person(self) -> Bool[ndarray, "h w"]:
+        """The person's pixels, clothes and hair included."""
+        return (self.material >= Material.SKIN) & (self.material <= Material.SHOE)
+
+
+def draw_mesh(
+    vertices: Float[ndarray, "v 3"],
+    faces: Int[ndarray, "f 3"],
+    face_values: UInt8[ndarray, "f"],
+    camera: DepthCamera,
+    depth_m: Float[ndarray, "h w"],
+    values: UInt8[ndarray, "h w"],
+    two_sided: bool = False,
+) -> None:
+    """Draw a mesh of the world into ``depth_m`` (infinite where nothing is yet) and its faces' values into ``values``."""
+    points = np.ascontiguousarray(transform_points(camera.camera_from_world, vertices))
+    rasterise(
+        points, faces, face_values, camera.fx, camera.fy, camera.cx, camera.cy, NEAR_M, two_sided, depth_m, values
+    )
+
+
+def render_person(
+    person: PosedPerson,
+    camera: DepthCamera,
+    background_m: Float[ndarray, "h w"] | None = None,
+    background_material: UInt8[ndarray, "h w"] | None = None,
+) -> Rendering:
+    """Depth (metres along z, 0 where nothing is), labels and materials of a person, without lens distortion.
+
+    Args:
+        background_m: depth of what the person stands in and may be hidden by, 0 where there is none.
+        background_material: its materials; SCENE where left out.
+    """
+    shape = (camera.height, camera.width)
+    if background_m is None:
+        depth = np.full(shape, np.inf, dtype=np.float32)
+        material = np.zeros(shape, dtype=np.uint8)
+    else:
+        depth = np.where(background_m > 0, background_m, np.inf).astype(np.float32)
+        material = (
+            np.where(background_m > 0, Material.SCENE, Material.NOTHING).astype(np.uint8)
+            if background_material is None
+            else background_material.copy()
+        )
+    labels = np.zeros(shape, dtype=np.uint8)
+    draw_mesh(person.vertices, person.body.faces, person.body.face_regions, camera, depth, labels)
+    skin = labels > 0
+    material[skin] = Material.SKIN
+    if person.layers:
+        bare = depth.copy()
+        for layer in person.layers:
+            values = np.full(len(layer.faces), layer.material, dtype=np.uint8)
+            draw_mesh(layer.vertices, layer.faces, values, camera, depth, material, two_sided=True)
+        labels[skin & (bare - depth > REACH_M)] = 0
+    depth[np.isinf(depth)] = 0
+    return Rendering(depth, labels, material)
 
 
 def render_body(
     body: PosedBody, camera: DepthCamera, background_m: Float[ndarray, "h w"] | None = None
 ) -> tuple[Float[ndarray, "h w"], UInt8[ndarray, "h w"]]:
-    """Depth (metres along z, 0 where nothing is) and labels 0–43 of a body, without lens distortion.
-
-    Args:
-        background_m: depth of the room the body stands in and may be hidden by, 0 where there is none.
-    """
-    points = np.ascontiguousarray(transform_points(camera.camera_from_world, body.vertices))
-    if background_m is None:
-        depth = np.full((camera.height, camera.width), np.inf, dtype=np.float32)
-    else:
-        depth = np.where(background_m > 0, background_m, np.inf).astype(np.float32)
-    face = np.full((camera.height, camera.width), -1, dtype=np.int32)
-    rasterise(points, body.faces, camera.fx, camera.fy, camera.cx, camera.cy, depth, face, NEAR_M)
-    labels = np.where(face >= 0, body.face_regions[face], 0).astype(np.uint8)
-    depth[~np.isfinite(depth)] = 0
-    return depth, labels
+    """Depth (metres along z, 0 where nothing is) and labels 0–43 of a bare body (see :func:`render_person`)."""
+    rendering = render_person(PosedPerson(body), camera, background_m)
+    return rendering.depth_m, rendering.labels

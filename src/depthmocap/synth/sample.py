@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -10,15 +11,17 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from depthmocap.body.model import Body, BodyModel, PosedBody
+from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.geometry.transforms import look_at
 from depthmocap.synth.bodies import ONE_CHARACTER, dress, random_outfit, random_phenotype, sixteen_characters
-from depthmocap.synth.postures import PostureSource
+from depthmocap.synth.postures import PostureSource, Variation, posture_source
 from depthmocap.synth.render import render_body
 from depthmocap.synth.sensor import SensorNoise, apply_noise_near
 
 Subset = Literal["easy", "inter", "hard", "open"]
+Split = Literal["train", "valid", "test"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,3 +114,42 @@ def draw_sample(
             mask = mask & (depth > 0)
         drawn.append(View(camera, depth, mask, labels))
     return Sample(tuple(drawn), posed.joints, group)
+
+
+@dataclasses.dataclass(frozen=True)
+class Recipe:
+    """What a data set shows. A sample depends on the recipe, the seed and its index alone.
+
+    Attributes:
+        subset: easy (one character, walking and running), inter (one character, all postures), hard (sixteen), or
+            open (bodies and outfits of all kinds).
+        split: postures of the splits come from different motion clips.
+        views: cameras around each posture.
+        postures: folder of motion capture clips; without it postures come from the packaged prior.
+        noise: sensor noise on the depth; UBC3V itself has none.
+    """
+
+    subset: Subset = "hard"
+    split: Split = "train"
+    views: int = 3
+    postures: Path | None = None
+    noise: bool = False
+
+    def __post_init__(self) -> None:
+        if self.views < 1:
+            raise InputError(f"--views must be at least 1, got {self.views}")
+
+
+class Sampler:
+    """Draws the samples of a recipe by index; cheap to call in any order and in any process."""
+
+    def __init__(self, recipe: Recipe, seed: int) -> None:
+        self.recipe, self.seed = recipe, seed
+        self._postures = posture_source(recipe.postures, recipe.split, recipe.subset == "easy", Variation(mirror=0.5))
+
+    def __call__(self, index: int) -> Sample:
+        """The sample of an index, from 0."""
+        split = ("train", "valid", "test").index(self.recipe.split)
+        rng = np.random.default_rng([self.seed, split, index])
+        noise = SensorNoise() if self.recipe.noise else None
+        return draw_sample(rng, self.recipe.subset, self._postures, self.recipe.views, noise=noise)
