@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.resources
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,17 @@ from depthmocap.classify.preprocess import Window, make_window
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.kernels.head import label_pixels
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LabelledMask:
+    """Regions 0–43 and their probabilities at a view's masked pixels, 0 elsewhere; the window (None where nobody was
+    found) and its own labels."""
+
+    labels: UInt8[ndarray, "h w"]
+    confidence: Float[ndarray, "h w"]
+    window: Window | None
+    window_labels: UInt8[ndarray, "_ _"]
 
 
 class Classifier:
@@ -59,16 +71,20 @@ class Classifier:
             results.append((labels, confidence))
         return results
 
+    def label_masks(self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]) -> Iterator[LabelledMask]:
+        """Labels of every masked pixel of every view, in order, and the windows they come from; one network call."""
+        windows = [make_window(view.depth_m, mask, view.camera) for view, mask in zip(views, masks, strict=True)]
+        found = iter(self.label_windows([window for window in windows if window is not None]))
+        for window, mask in zip(windows, masks, strict=True):
+            if window is None:
+                empty = np.zeros((0, 0), np.uint8)
+                yield LabelledMask(np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32), None, empty)
+            else:
+                labels, confidence = next(found)
+                yield LabelledMask(*window.labels_to_image(labels, confidence, mask), window, labels)
+
     def label_views(
         self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]
     ) -> list[tuple[UInt8[ndarray, "_ _"], Float[ndarray, "_ _"]]]:
         """Region 0–43 of every masked pixel of every view, and its probability; all 0 where nobody is."""
-        windows = [make_window(view.depth_m, mask, view.camera) for view, mask in zip(views, masks, strict=True)]
-        found = iter(self.label_windows([window for window in windows if window is not None]))
-        results = []
-        for window, mask in zip(windows, masks, strict=True):
-            if window is None:
-                results.append((np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)))
-            else:
-                results.append(window.labels_to_image(*next(found), mask))
-        return results
+        return [(found.labels, found.confidence) for found in self.label_masks(views, masks)]

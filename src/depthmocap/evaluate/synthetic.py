@@ -1,0 +1,122 @@
+"""What every evaluation on labelled frames measures (paper, Sec. V-A): pixels labelled right, and joint errors."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterable, Iterator
+from typing import Any, Literal
+
+import numpy as np
+from numpy import ndarray
+from rich.console import Console
+from rich.table import Table
+
+from depthmocap.body.regions import REGION_NAMES, UNLABELLED
+from depthmocap.classify.runtime import Classifier
+from depthmocap.evaluate.metrics import PixelAccuracy, joint_metrics
+from depthmocap.frames import FrameSet, View
+from depthmocap.pose.cloud import LabelledView, merge_views
+from depthmocap.pose.estimate import estimate_joints
+from depthmocap.pose.ridge import RidgeBank
+
+Labels = Literal["network", "true"]
+
+
+def _network_labels(
+    classifier: Classifier, views: list[View], accuracy: PixelAccuracy
+) -> Iterator[tuple[View, ndarray, ndarray]]:
+    """Views with the network's labels and probabilities; counts its labels in the windows on the way."""
+    masks = [view.depth_m > 0 if view.mask is None else view.mask for view in views]
+    for view, mask, found in zip(views, masks, classifier.label_masks(views, masks), strict=True):
+        yield view, found.labels, found.confidence
+        if found.window is None or view.labels is None:
+            continue
+        truth = found.window.labels_from_image(view.labels, UNLABELLED)
+        # All of the person counts, also what the window leaves out as stray: it goes without a label, which is wrong.
+        inside = found.window.labels_from_image((mask & (view.depth_m > 0)).astype(np.uint8)) > 0
+        accuracy.add(truth[inside], found.window_labels[inside])
+
+
+def measure(
+    frames: Iterable[FrameSet], views: int, regressor: RidgeBank, classifier: Classifier | None
+) -> dict[str, Any] | None:
+    """Accuracy over frames that carry true labels, masks and joints; None where none does.
+
+    Frames are independent, nothing is smoothed. Pixels count in the network's windows, or with ``classifier=None``
+    (true labels go to the pose stage, its floor) at the picture's own resolution.
+
+    Args:
+        views: 1 evaluates every camera alone and averages, 2 every pair, and so on.
+    """
+    window_accuracy, image_accuracy = PixelAccuracy(), PixelAccuracy()
+    estimates: list[ndarray] = []
+    truths: list[ndarray] = []
+    spent_ms: list[float] = []
+    samples = 0
+    for frame in frames:
+        samples += 1
+        seen = [view for view in frame.views if view.mask is not None and view.labels is not None]
+        if not seen or frame.true_joints is None:
+            continue
+        start = time.perf_counter()
+        parts: list[LabelledView]
+        if classifier is None:
+            parts = [(view, view.labels, None) for view in seen if view.labels is not None]
+        else:
+            parts = list(_network_labels(classifier, seen, window_accuracy))
+        labelled_ms = (time.perf_counter() - start) * 1e3
+        for chosen in itertools.combinations(parts, min(views, len(parts))):
+            start = time.perf_counter()
+            joints, _ = estimate_joints(regressor, merge_views(list(chosen)), "z", len(chosen))
+            spent_ms.append((time.perf_counter() - start) * 1e3 + labelled_ms * len(chosen) / len(parts))
+            estimates.append(joints)
+            truths.append(frame.true_joints)
+        for view, labels, _ in parts:
+            if view.labels is not None and view.mask is not None:
+                image_accuracy.add(view.labels[view.mask], labels[view.mask])
+    if not estimates:
+        return None
+    pixels = image_accuracy if classifier is None else window_accuracy
+    metrics = joint_metrics(np.stack(estimates), np.stack(truths))
+    return {
+        "labels": "true" if classifier is None else "network", "views": views, "frames": samples,
+        "pixel_accuracy": pixels.pixel_accuracy,
+        "class_accuracy": pixels.class_accuracy,
+        "per_class_accuracy": [None if np.isnan(x) else float(x) for x in pixels.per_class_accuracy],
+        "side_swap": pixels.side_swap,
+        "image_pixel_accuracy": image_accuracy.pixel_accuracy,
+        "mean_joint_error_cm": metrics.mean_joint_error_cm,
+        "deviation_cm": metrics.deviation_cm,
+        "within_10cm": metrics.within_10cm,
+        "per_joint_error_cm": metrics.per_joint_error_cm,
+        "per_joint_deviation_cm": metrics.per_joint_deviation_cm,
+        "curve": list(metrics.curve),
+        "joints_missing": metrics.missing,
+        "ms_per_frame": float(np.median(spent_ms)),
+    }  # fmt: skip
+
+
+def print_numbers(title: str, numbers: dict[str, Any], console: Console) -> None:
+    """The numbers of :func:`measure` as a table."""
+    table = Table(title=f"{title}, {numbers['views']} views, {numbers['labels']} labels")
+    table.add_column("measure")
+    table.add_column("value", justify="right")
+    rows = {
+        "samples": str(numbers["frames"]),
+        "pixel accuracy": f"{numbers['pixel_accuracy']:.1%}",
+        "mean class accuracy": f"{numbers['class_accuracy']:.1%}",
+        "pixels on the other side": f"{numbers['side_swap']:.2%}",
+        "mean joint error": f"{numbers['mean_joint_error_cm']:.2f} cm",
+        "within 10 cm": f"{numbers['within_10cm']:.1%}",
+        "time a sample (median)": f"{numbers['ms_per_frame']:.1f} ms",
+    }
+    for name, value in rows.items():
+        table.add_row(name, value)
+    console.print(table)
+    worst = sorted(
+        (accuracy, name) for accuracy, name in zip(numbers["per_class_accuracy"], REGION_NAMES[1:], strict=True)
+        if accuracy is not None
+    )  # fmt: skip
+    console.print("weakest regions: " + ", ".join(f"{name} {accuracy:.0%}" for accuracy, name in worst[:5]))
+    console.print("joints (cm): " + ", ".join(f"{k} {v:.1f}" for k, v in numbers["per_joint_error_cm"].items()))
