@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
 from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.synth.solids import Solids, box, join, shell
 
 _Point = tuple[float, float, float]
 
@@ -57,24 +59,13 @@ def render_room(room: Room, camera: DepthCamera) -> Float[ndarray, "h w"]:
     eye = camera.world_from_camera[:3, 3]
     if not (np.all(eye > room.shell.low) and np.all(eye < room.shell.high)):
         raise ValueError(f"camera {camera.name!r} at {eye.round(2)} must be inside the room's shell {room.shell}")
-    rays = np.concatenate([camera.rays, np.ones((camera.height, camera.width, 1))], -1)  # of depth 1
-    rays = rays @ camera.world_from_camera[:3, :3].T
-    depth = _span(room.shell, eye, rays)[1]
-    for box in room.boxes:
-        enter, leave = _span(box, eye, rays)
-        depth = np.where((enter < leave) & (enter > 0), np.minimum(depth, enter), depth)
-    return depth.astype(np.float32)
+    depth = np.full((camera.height, camera.width), np.inf, dtype=np.float32)
+    solids = join([shell(room.shell.low, room.shell.high), box_solids(room.boxes)])
+    solids.draw(camera, depth, np.empty(depth.shape, dtype=np.uint8))
+    return depth
 
 
-def _span(
-    box: Box, eye: Float[ndarray, "3"], rays: Float[ndarray, "h w 3"]
-) -> tuple[Float[ndarray, "h w"], Float[ndarray, "h w"]]:
-    """Depths at which rays enter and leave a box; a ray that misses it leaves before it enters."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a, b = (np.array(box.low) - eye) / rays, (np.array(box.high) - eye) / rays
-    # A ray that runs within a face's plane (0/0) is not limited by that pair of faces.
-    enter, leave = np.fmin(a, b), np.fmax(a, b)
-    return (
-        np.where(np.isnan(enter), -np.inf, enter).max(-1),
-        np.where(np.isnan(leave), np.inf, leave).min(-1),
-    )
+def box_solids(boxes: Iterable[Box]) -> Solids:
+    """The boxes as solids to draw."""
+    sides = [(np.array(b.low), np.array(b.high)) for b in boxes]
+    return join(box((low + high) / 2, (high - low) / 2) for low, high in sides)
