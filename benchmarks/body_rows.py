@@ -77,6 +77,46 @@ def rendering(bench: Bench) -> None:
         bench.measure("Render a body, 512×424", ours, reference, goal_ms=GOAL_MS, agrees=agrees, note=note)
 
 
+def rendering_open3d(bench: Bench) -> None:
+    """One view of a body against Open3D's ray casting, on one thread each and with Open3D on all."""
+    import open3d
+
+    body = BodyModel.load().shape(ONE_CHARACTER)
+    posed = body.pose(PosturePrior.load().sample(np.random.default_rng(1))[0])
+    camera = camera_before(posed.vertices.mean(0).astype(float), 2.0)
+    regions = np.append(posed.face_regions, 0).astype(np.uint8)
+    vertices = open3d.core.Tensor(posed.vertices)
+    faces = open3d.core.Tensor(posed.faces.astype(np.uint32))
+    # Its rays are of depth 1, so that what it finds is the depth; they are made beforehand.
+    ones = np.ones((camera.height, camera.width, 1), np.float32)
+    directions = np.concatenate([camera.rays, ones], -1) @ camera.world_from_camera[:3, :3].T.astype(np.float32)
+    eye = np.broadcast_to(camera.world_from_camera[:3, 3].astype(np.float32), directions.shape)
+    rays = open3d.core.Tensor(np.ascontiguousarray(np.concatenate([eye, directions], -1)))
+
+    def cast(threads: int) -> tuple[ndarray, ndarray]:
+        scene = open3d.t.geometry.RaycastingScene(nthreads=threads)
+        scene.add_triangles(vertices, faces)
+        found = scene.cast_rays(rays, nthreads=threads)
+        depth = found["t_hit"].numpy()
+        face = found["primitive_ids"].numpy()
+        labels = regions[np.minimum(face, len(regions) - 1)]
+        return np.where(np.isfinite(depth), depth, 0), labels
+
+    depth, labels = render_body(posed, camera)
+    cast_depth, cast_labels = cast(1)
+    both = (labels > 0) & (cast_labels > 0)
+    differing = int(np.count_nonzero(labels != cast_labels))
+    error_mm = float(np.abs(depth - cast_depth)[both].max() * 1e3)
+    agrees = bool(differing <= 1e-3 * both.sum() and error_mm < 1)
+    note = f"{differing} labels differ, depth within {error_mm:.2g} mm"
+    for threads in sorted({1, bench.threads}):
+        name = f"Open3D {open3d.__version__} ray casting, {threads} thread" + "s" * (threads > 1)
+        bench.measure(
+            "Render a body, 512×424", lambda: render_body(posed, camera),
+            Reference(name, lambda threads=threads: cast(threads)), goal_ms=GOAL_MS, agrees=agrees, note=note,
+        )  # fmt: skip
+
+
 def posing(bench: Bench) -> None:
     """Posing and shaping against Anny's own functions in PyTorch, one body and a batch."""
     import torch

@@ -96,6 +96,7 @@ def measure(settings: Settings, folder: Path, console: Console) -> Bench:
     bench = Bench(runs, warm_up, settings.threads or _usable_cores(), folder)
     groups: dict[str, Callable[[Bench], None]] = {
         "rendering": body_rows.rendering,
+        "rendering beside Open3D": body_rows.rendering_open3d,
         "posing": body_rows.posing,
         "labelling": label_rows.labelling,
         "segmentation": pose_rows.segmentation,
