@@ -1,6 +1,8 @@
 """UBC3V: codecs, reading what the writer wrote, and every way a section can be broken."""
 
 import dataclasses
+import errno
+import itertools
 
 import numpy as np
 import pytest
@@ -23,7 +25,7 @@ from depthmocap.datasets.ubc3v import (
     kinect2_camera,
     sections,
 )
-from depthmocap.datasets.ubc3v_write import SectionWriter
+from depthmocap.datasets.ubc3v_write import SectionWriter, write_images
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.transforms import look_at, transform_points
@@ -196,11 +198,11 @@ def test_missing_views(tmp_path):
 
 
 def test_resume(tmp_path, monkeypatch):
-    monkeypatch.setattr("depthmocap.datasets.ubc3v_write._SAVE_EVERY", 2)
     rng = np.random.default_rng(0)
     samples = [(make_views(rng, EYES[:1]), rng.uniform(-1, 1, (18, 3))) for _ in range(4)]
     interrupted = SectionWriter(tmp_path, "easy-pose", "train", 1)
-    for views, joints in samples[:3]:
+    for seconds, (views, joints) in zip((1e9, 0, 1e9), samples[:3], strict=True):
+        monkeypatch.setattr("depthmocap.datasets.ubc3v_write._SAVE_EVERY_S", seconds)
         interrupted.write(views, joints)
     assert len(interrupted) == 3
     path = interrupted.path
@@ -217,6 +219,61 @@ def test_resume(tmp_path, monkeypatch):
         np.testing.assert_allclose(frame.true_joints, joints, atol=1e-9)
         camera, written = frame.views[0].camera, views[0].camera
         np.testing.assert_allclose(camera.world_from_camera, written.world_from_camera, atol=1e-9)
+
+
+def test_a_resumed_section_has_the_bytes_of_an_uninterrupted_one(tmp_path):
+    rng = np.random.default_rng(2)
+    samples = [(make_views(rng, EYES[: 1 + i % 2]), rng.uniform(-1, 1, (18, 3))) for i in range(4)]
+    for root, parts in ((tmp_path / "a", (4,)), (tmp_path / "b", (1, 3))):
+        left = iter(samples)
+        for count in parts:
+            with SectionWriter(root, "easy-pose", "train", 1) as writer:
+                for views, joints in itertools.islice(left, count):
+                    writer.write(views, joints)
+    files = {
+        root: {p.relative_to(tmp_path / root): p.read_bytes() for p in (tmp_path / root).rglob("*") if p.is_file()}
+        for root in "ab"
+    }
+    assert len(files["a"]) == 13
+    assert files["a"] == files["b"]
+
+
+def test_a_full_disk_leaves_the_last_truth(tmp_path, monkeypatch):
+    rng = np.random.default_rng(0)
+    path, _ = write_section(tmp_path, count=1)
+    before = (path / "groundtruth.mat").read_bytes()
+    writer = SectionWriter(tmp_path, "easy-pose", "train", 1)
+    writer.write(make_views(rng), np.zeros((18, 3)))
+
+    def full(self, data):
+        with self.open("wb") as file:
+            file.write(data[:100])
+        raise OSError(errno.ENOSPC, "No space left on device", str(self))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("pathlib.Path.write_bytes", full)
+        with pytest.raises(OSError, match="No space"):
+            writer.close()
+    assert (path / "groundtruth.mat").read_bytes() == before
+    assert not list(path.glob("*.part"))
+    writer.close()
+    assert len(Section(path)) == 2
+
+
+def test_images_are_those_of_the_codecs(tmp_path):
+    rng = np.random.default_rng(5)
+    for top, bottom in ((0, 424), (0, 200), (100, 424), (200, 201), (0, 0)):
+        mask = np.zeros(SHAPE, bool)
+        mask[top:bottom, 100:300] = rng.random((bottom - top, 200)) < 0.8
+        depth = np.where(rng.random(SHAPE) < 0.9, rng.uniform(0.2, 9.0, SHAPE), 0).astype(np.float32)
+        labels = rng.choice([*range(1, 44), UNLABELLED], SHAPE).astype(np.uint8)
+        camera = kinect2_camera("Cam1", look_at(np.array(EYES[0]), np.zeros(3)))
+        write_images(tmp_path, 0, [View(camera, depth, mask, labels)])
+        depth_path, labels_path = image_paths(tmp_path, "Cam1", 0)
+        expected = encode_depth(depth, mask), encode_labels(np.where(mask, labels, np.uint8(0)))
+        for path, rgba in zip((depth_path, labels_path), expected, strict=True):
+            with Image.open(path) as image:
+                assert (np.array(image) == rgba).all()
 
 
 def test_writer_keeps_what_was_done_when_interrupted(tmp_path):

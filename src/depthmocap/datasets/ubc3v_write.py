@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+import dataclasses
+import io
 import re
+import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
-from PIL import Image
 from scipy.io import savemat
 
+from depthmocap.body.regions import REGION_COUNT
 from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
+from depthmocap.datasets.png import colour_png
 from depthmocap.datasets.ubc3v import (
+    DEPTH_SCALE,
+    FAR_CM,
     FRAMES_PER_SECTION,
     KINECT2,
     MAYA_JOINTS,
+    NEAR_CM,
     UNLABELLED,
-    encode_depth,
     encode_labels,
     image_paths,
     maya_angles,
@@ -28,6 +34,7 @@ from depthmocap.datasets.ubc3v import (
 )
 from depthmocap.frames import View
 from depthmocap.geometry.transforms import z_up_from
+from depthmocap.kernels.png import depth_levels
 
 #: Maya joints that hold no target joint, and the joint they get: the nearest to where their parent's frame sits.
 _FILLED = {
@@ -39,15 +46,64 @@ _FILLED = {
 #: Sorted names are the toolkit's order.
 _JOINT_OF_MAYA = dict(sorted(({maya: joint for joint, maya in MAYA_JOINTS.items()} | _FILLED).items()))
 
-_SAVE_EVERY = 100
-_PNG_COMPRESSION = 3
+#: ``groundtruth.mat`` of a full section takes half a second to write, so it is written only this often.
+_SAVE_EVERY_S = 20.0
+#: Of the file's 128 bytes of header, the text, which would tell the time otherwise: equal data gives equal bytes.
+_HEADER = b"MATLAB 5.0 MAT-file, written by depthmocap".ljust(116)
+#: RGBA of depth levels (0: not the person) and of labels.
+_GREYS = np.zeros((257, 4), np.uint8)
+_GREYS[1:, :3] = np.arange(256)[:, None]
+_GREYS[1:, 3] = 255
+_COLOURS = np.zeros((256, 4), np.uint8)
+_KNOWN = np.array([*range(REGION_COUNT + 1), UNLABELLED], np.uint8)
+_COLOURS[_KNOWN] = encode_labels(_KNOWN[None])[0]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FrameTruth:
+    """What ``groundtruth.mat`` holds of a frame, in its units: cm, degrees, Y up; ``poses`` by camera name."""
+
+    joints_cm: Float[ndarray, "18 3"]
+    poses: dict[str, Float[ndarray, "2 3"]]
+
+
+def frame_truth(views: Sequence[View], joints_world: Float[ndarray, "18 3"]) -> FrameTruth:
+    """The truth of a sample (see :meth:`SectionWriter.write`).
+
+    Raises:
+        ValueError: when a value is one that the format cannot hold.
+    """
+    if joints_world.shape != (len(JOINTS), 3) or not np.isfinite(joints_world).all():
+        raise ValueError(f"joints_world must be {len(JOINTS)}×3 finite numbers")
+    names = [view.camera.name for view in views]
+    if not names or len(set(names)) < len(names) or not all(re.fullmatch(r"Cam[1-9]\d*", name) for name in names):
+        raise ValueError(f"the views' cameras must be named Cam1, Cam2, …, each once; got {names}")
+    for view in views:
+        _check_intrinsics(view)
+    poses = {view.camera.name: np.stack(maya_angles(view.camera.world_from_camera)) for view in views}
+    return FrameTruth(joints_world.astype(np.float64) @ z_up_from("y") * 100, poses)
+
+
+def write_images(section: Path, i: int, views: Sequence[View]) -> None:
+    """Write the images of frame ``i``, from 0, of a section, over what an interrupted run left."""
+    for view in views:
+        mask = view.mask
+        if mask is None:
+            mask = view.depth_m > 0 if view.labels is None else view.labels > 0
+        depth_path, labels_path = image_paths(section, view.camera.name, i)
+        if view.labels is None:
+            labels_path.unlink(missing_ok=True)
+        else:
+            _write(labels_path, _labels_png(view.labels, mask))
+        _write(depth_path, _depth_png(view.depth_m, mask))
 
 
 class SectionWriter:
     """Appends samples to ``root/subset/split/section``. Use it as a context manager.
 
-    Images are written at once, ``groundtruth.mat`` every 100 samples and on closing. A writer opened on an existing
-    section continues after the last frame in ``groundtruth.mat``: ``len(writer)`` frames are done.
+    Images are written at once, ``groundtruth.mat`` every 20 seconds, when full and on closing, from a temporary file:
+    it never tells of an image that is not there. A writer opened on an existing section continues after the last
+    frame in ``groundtruth.mat``: ``len(writer)`` frames are done.
 
     Raises:
         InputError: when an existing ``groundtruth.mat`` cannot be read.
@@ -56,16 +112,19 @@ class SectionWriter:
     def __init__(self, root: Path, subset: str, split: str, section: int) -> None:
         self.path = Path(root) / subset / split / str(section)
         self._truth_path = self.path / "groundtruth.mat"
-        self._joints_cm: list[ndarray] = []
-        self._poses: list[dict[str, ndarray]] = []  # by camera: translate and rotate, of the cameras of that frame
+        self._frames: list[FrameTruth] = []
         if self._truth_path.exists():
             truth = read_ground_truth(self._truth_path)
-            self._joints_cm = list(truth.joints_cm)
-            self._poses = [{name: poses[i] for name, poses in truth.cameras.items()} for i in range(len(self))]
+            self._frames = [
+                # A frame without a pose of a camera was not seen by it.
+                FrameTruth(joints, {k: v[i] for k, v in truth.cameras.items() if np.isfinite(v[i]).all()})
+                for i, joints in enumerate(truth.joints_cm)
+            ]
         self._saved = len(self)
+        self._saved_s = time.monotonic()
 
     def __len__(self) -> int:
-        return len(self._joints_cm)
+        return len(self._frames)
 
     def __enter__(self) -> SectionWriter:
         return self
@@ -93,21 +152,20 @@ class SectionWriter:
         Raises:
             ValueError: when the section is full, or a value is one that the format cannot hold.
         """
-        if self.full:
-            raise ValueError(f"{self.path} is full: a section holds {FRAMES_PER_SECTION} frames; open the next one")
-        if joints_world.shape != (len(JOINTS), 3) or not np.isfinite(joints_world).all():
-            raise ValueError(f"joints_world must be {len(JOINTS)}×3 finite numbers")
-        names = [view.camera.name for view in views]
-        if not names or len(set(names)) < len(names) or not all(re.fullmatch(r"Cam[1-9]\d*", name) for name in names):
-            raise ValueError(f"the views' cameras must be named Cam1, Cam2, …, each once; got {names}")
-        for view in views:
-            _check_intrinsics(view)
-        poses = {view.camera.name: np.stack(maya_angles(view.camera.world_from_camera)) for view in views}
-        for view in views:
-            self._write_images(view)
-        self._joints_cm.append(joints_world.astype(np.float64) @ z_up_from("y") * 100)
-        self._poses.append(poses)
-        if len(self) - self._saved >= _SAVE_EVERY:
+        self._check_room()
+        truth = frame_truth(views, joints_world)
+        write_images(self.path, len(self), views)
+        self.append(truth)
+
+    def append(self, truth: FrameTruth) -> None:
+        """Append a sample whose images :func:`write_images` has written, as frame ``len(writer)``.
+
+        Raises:
+            ValueError: when the section is full.
+        """
+        self._check_room()
+        self._frames.append(truth)
+        if self.full or time.monotonic() - self._saved_s >= _SAVE_EVERY_S:
             self._save()
 
     def close(self) -> None:
@@ -115,37 +173,60 @@ class SectionWriter:
         if len(self) > self._saved:
             self._save()
 
-    def _write_images(self, view: View) -> None:
-        mask = view.mask
-        if mask is None:
-            mask = view.depth_m > 0 if view.labels is None else view.labels > 0
-        depth_path, labels_path = image_paths(self.path, view.camera.name, len(self))
-        _save_png(encode_depth(view.depth_m, mask), depth_path)
-        if view.labels is None:
-            labels_path.unlink(missing_ok=True)  # of an interrupted run
-        else:
-            labels = np.where(view.labels == 0, np.uint8(UNLABELLED), view.labels)
-            _save_png(encode_labels(np.where(mask, labels, np.uint8(0))), labels_path)
+    def _check_room(self) -> None:
+        if self.full:
+            raise ValueError(f"{self.path} is full: a section holds {FRAMES_PER_SECTION} frames; open the next one")
 
     def _save(self) -> None:
-        cameras = sorted({name for poses in self._poses for name in poses}, key=lambda name: int(name[3:]))
+        cameras = sorted({name for frame in self._frames for name in frame.poses}, key=lambda name: int(name[3:]))
         unknown = np.full((2, 3), np.nan)
         document = {
             "cameras": {
                 name: {
                     "frames": _cell_array(
-                        dict(zip(("translate", "rotate"), poses.get(name, unknown), strict=True))
-                        for poses in self._poses
+                        dict(zip(("translate", "rotate"), frame.poses.get(name, unknown), strict=True))
+                        for frame in self._frames
                     )
                 }
                 for name in cameras
             },
-            "joints": _cell_array(_maya_joints(joints_cm) for joints_cm in self._joints_cm),
+            "joints": _cell_array(_maya_joints(frame.joints_cm) for frame in self._frames),
         }
+        file = io.BytesIO()
+        savemat(file, document, do_compression=True, oned_as="row")
+        file.seek(0)
+        file.write(_HEADER)
         unfinished = self._truth_path.with_suffix(".mat.part")
-        savemat(unfinished, document, appendmat=False, do_compression=True, oned_as="row")
-        unfinished.replace(self._truth_path)
-        self._saved = len(self)
+        try:
+            unfinished.write_bytes(file.getbuffer())
+            unfinished.replace(self._truth_path)
+        except OSError:
+            unfinished.unlink(missing_ok=True)  # a full disk
+            raise
+        self._saved, self._saved_s = len(self), time.monotonic()
+
+
+def _depth_png(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"]) -> bytes:
+    """The PNG of ``ubc3v.encode_depth``."""
+    levels = np.empty(depth_m.shape, np.uint16)
+    depth_levels(depth_m, mask, DEPTH_SCALE, NEAR_CM, FAR_CM, levels)
+    return colour_png(levels, _GREYS)
+
+
+def _labels_png(labels: UInt8[ndarray, "h w"], mask: Bool[ndarray, "h w"]) -> bytes:
+    """The PNG of ``ubc3v.encode_labels``; the person's pixels without a label are unlabelled."""
+    values = np.where(mask, np.where(labels == 0, np.uint8(UNLABELLED), labels), np.uint8(0))
+    if not (_COLOURS[values.ravel(), 3][mask.ravel()] == 255).all():
+        raise ValueError(f"labels must be 0 to {REGION_COUNT}, or {UNLABELLED} for unlabelled person pixels")
+    return colour_png(values, _COLOURS)
+
+
+def _write(path: Path, data: bytes) -> None:
+    try:
+        path.write_bytes(data)
+    except FileNotFoundError:  # the first of a section
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
 
 
 def _check_intrinsics(view: View) -> None:
@@ -179,8 +260,3 @@ def _cell_array(items: Iterable[Any]) -> ndarray:
     for i, item in enumerate(items):
         cells[0, i] = item
     return cells
-
-
-def _save_png(rgba: ndarray, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(rgba).save(path, compress_level=_PNG_COMPRESSION)
