@@ -124,7 +124,7 @@ def render_person(
         for layer in person.layers:
             values = np.full(len(layer.faces), layer.material, dtype=np.uint8)
             draw_mesh(layer.vertices, layer.faces, values, camera, depth, material, two_sided=True)
-        labels[skin & (bare - depth > REACH_M)] = 0
+        labels[skin] *= bare[skin] - depth[skin] <= REACH_M
     depth[np.isinf(depth)] = 0
     return Rendering(depth, labels, material)
 
