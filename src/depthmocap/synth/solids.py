@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Iterable
 
 import numpy as np
@@ -154,11 +153,26 @@ def ellipsoid(
 
 
 def capsule(start: _Vector, end: _Vector, radius_m: float, material: Material = Material.SCENE) -> Solids:
-    """What is within a radius of a line from ``start`` to ``end``."""
-    start, end = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
-    half = float(np.linalg.norm(end - start)) / 2
-    axes = _axes_along(end - start) * radius_m
-    return _one(CAPSULE, axes, (start + end) / 2, half / radius_m, material)
+    """What is within a radius of the line from ``start`` to ``end``."""
+    return capsules(np.asarray(start)[None], np.asarray(end)[None], np.array([radius_m]), material)
+
+
+def chain(points: Float[ndarray, "p 3"], radius_m: float, material: Material = Material.SCENE) -> Solids:
+    """Capsules from point to point: a strap, a cable, a bent pipe."""
+    return capsules(points[:-1], points[1:], np.full(len(points) - 1, radius_m), material)
+
+
+def capsules(
+    starts: Float[ndarray, "n 3"], ends: Float[ndarray, "n 3"], radii_m: Float[ndarray, "n"],
+    material: Material = Material.SCENE,
+) -> Solids:  # fmt: skip
+    """Many capsules at once."""
+    along = ends - starts
+    halves = np.linalg.norm(along, axis=1) / 2
+    axes = _axes_along(along) * radii_m[:, None, None]
+    frames = np.concatenate([axes, ((starts + ends) / 2)[:, :, None]], 2)
+    n = len(radii_m)
+    return Solids(np.full(n, CAPSULE, np.uint8), halves / radii_m, frames, np.full(n, material, np.uint8))
 
 
 def cylinder(start: _Vector, end: _Vector, radius_m: float, material: Material = Material.SCENE) -> Solids:
@@ -169,9 +183,9 @@ def cylinder(start: _Vector, end: _Vector, radius_m: float, material: Material =
     return _one(CYLINDER, axes, (start + end) / 2, 0.0, material)
 
 
-def chain(points: Float[ndarray, "p 3"], radius_m: float, material: Material = Material.SCENE) -> Solids:
-    """Capsules from point to point: a strap, a cable, a bent pipe."""
-    return join(capsule(a, b, radius_m, material) for a, b in itertools.pairwise(points))
+def above(height_m: float) -> Float[ndarray, "3"]:
+    """The step straight up."""
+    return np.array([0.0, 0.0, height_m])
 
 
 def join(parts: Iterable[Solids]) -> Solids:
@@ -187,11 +201,11 @@ def join(parts: Iterable[Solids]) -> Solids:
     )
 
 
-def _axes_along(direction: Float[ndarray, "3"]) -> Float[ndarray, "3 3"]:
-    """A rotation that takes z to a direction; any for a zero direction."""
-    if not direction.any():
-        return np.eye(3)
-    return rotation_between(np.array([0.0, 0.0, 1.0]), direction)
+def _axes_along(directions: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3 3"]:
+    """Rotations that take z to directions; any for a zero direction."""
+    up = np.zeros_like(directions, dtype=float)
+    up[..., 2] = 1
+    return rotation_between(up, np.where(directions.any(-1, keepdims=True), directions, up))
 
 
 #: Nothing.
