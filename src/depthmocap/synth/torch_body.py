@@ -121,3 +121,23 @@ def pose_batch(
     """
     blended = (weights.double() @ transforms.flatten(2)).float().unflatten(-1, (3, 4))
     return (blended[..., :3] * rest_vertices[..., None, :]).sum(-1) + blended[..., 3]
+
+
+def pose_packed(
+    rest_vertices: Float[Tensor, "n 3"],
+    indices: Int[Tensor, "n k"],
+    weights: Float[Tensor, "n k"],
+    picture: Int[Tensor, "n"],
+    transforms: Float[Tensor, "b 20 3 4"],
+) -> Float[Tensor, "n 3"]:
+    """Linear blend skinning of any vertices in one list, each by the transforms of its own picture of the batch.
+
+    Args:
+        indices, weights: the few bones of a posture that a vertex follows; a weight may be 0.
+    """
+    flat = transforms.float().flatten(0, 1).flatten(1)
+    blended = torch.zeros(len(rest_vertices), 12, device=rest_vertices.device)
+    for k in range(indices.shape[1]):
+        blended += weights[:, k, None] * flat[picture * len(POSTURE_PARENTS) + indices[:, k]]
+    blended = blended.unflatten(-1, (3, 4))
+    return (blended[..., :3] * rest_vertices[:, None]).sum(-1) + blended[..., 3]
