@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 
+from typing import Literal
+
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
@@ -12,6 +14,24 @@ from numpy import ndarray
 from depthmocap.body.model import Body, BodyModel, Phenotype
 from depthmocap.body.regions import REGION_NAMES
 from depthmocap.kernels.skin import vertex_normals
+from depthmocap.synth.garments import DressedBody, clothe
+from depthmocap.synth.wardrobe import ORDINARY_CLOTHES, Clothes, Garment, random_clothes
+
+__all__ = [
+    "ONE_CHARACTER",
+    "ORDINARY_CLOTHES",
+    "Clothes",
+    "DressedBody",
+    "Garment",
+    "Outfit",
+    "clothe",
+    "dress",
+    "random_clothes",
+    "random_dressed",
+    "random_outfit",
+    "random_phenotype",
+    "sixteen_characters",
+]
 
 #: The one character of easy and inter, and the first of the sixteen of hard.
 ONE_CHARACTER = Phenotype(gender=0.0, age=0.65, muscle=0.55, weight=0.5, height=0.5)
@@ -36,6 +56,33 @@ def random_phenotype(rng: np.random.Generator, children: bool = True) -> Phenoty
         height=float(rng.beta(2, 2)),
         proportions=float(rng.beta(2, 2)),
     )
+
+
+@functools.cache
+def _character(index: int, held_out: bool) -> DressedBody:
+    """One of the sixteen, who always wears the same; the first is dressed in ``ORDINARY_CLOTHES``."""
+    phenotype = sixteen_characters()[index]
+    rng = np.random.default_rng([16, index])
+    ordinary = index == 0 and not held_out
+    clothes = ORDINARY_CLOTHES if ordinary else random_clothes(rng, held_out, phenotype.gender)
+    return clothe(BodyModel.load().shape(phenotype), clothes, rng)
+
+
+def random_dressed(
+    rng: np.random.Generator, subset: Literal["easy", "inter", "hard", "open"], held_out: bool = False
+) -> DressedBody:
+    """A dressed body of a subset: easy and inter have one character, hard sixteen (kept once made), open any.
+
+    Args:
+        held_out: always in the family of garments that is kept out of training; otherwise never.
+    """
+    if subset in ("easy", "inter"):
+        return _character(0, held_out)
+    if subset == "hard":
+        return _character(int(rng.integers(len(sixteen_characters()))), held_out)
+    phenotype = random_phenotype(rng)
+    body = BodyModel.load().shape(phenotype)
+    return clothe(body, random_clothes(rng, held_out, phenotype.gender), rng)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,0 +1,170 @@
+"""Clothes and hair: shells over the skin, and sheets that hang from them."""
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def pose_skin(rest, normals, indices, weights, rotations, offsets, points, directions):
+    """Blend skinning of points together with their unit normals (see ``kernels.skin.skin``)."""
+    for v in range(rest.shape[0]):
+        x, y, z = rest[v, 0], rest[v, 1], rest[v, 2]
+        p, q, s = normals[v, 0], normals[v, 1], normals[v, 2]
+        a = b = c = d = e = f = np.float32(0)
+        for k in range(indices.shape[1]):
+            w = weights[v, k]
+            if w == 0:
+                break  # weights are sorted, largest first
+            r = rotations[indices[v, k]]
+            o = offsets[indices[v, k]]
+            a += w * (r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + o[0])
+            b += w * (r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + o[1])
+            c += w * (r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + o[2])
+            d += w * (r[0, 0] * p + r[0, 1] * q + r[0, 2] * s)
+            e += w * (r[1, 0] * p + r[1, 1] * q + r[1, 2] * s)
+            f += w * (r[2, 0] * p + r[2, 1] * q + r[2, 2] * s)
+        points[v, 0], points[v, 1], points[v, 2] = a, b, c
+        scale = 1 / (np.sqrt(d * d + e * e + f * f) + np.float32(1e-9))
+        directions[v, 0], directions[v, 1], directions[v, 2] = d * scale, e * scale, f * scale
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def compression(points, starts, neighbours, rest_lengths, out):
+    """``out[v]``: mean shortening of the edges at a vertex, 0 (none, or stretched) to 1; edges in CSR form."""
+    for v in range(points.shape[0]):
+        first, last = starts[v], starts[v + 1]
+        total = np.float32(0)
+        for e in range(first, last):
+            n = neighbours[e]
+            x = points[n, 0] - points[v, 0]
+            y = points[n, 1] - points[v, 1]
+            z = points[n, 2] - points[v, 2]
+            total += max(1 - np.sqrt(x * x + y * y + z * z) / rest_lengths[e], np.float32(-0.3))
+        out[v] = max(total / max(last - first, 1), np.float32(0))
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def snap(level, vertices, starts, neighbours, partner, mix):
+    """Where a garment's edge runs. For the i-th of its vertices that lies outside (``level`` ≤ 0), the neighbour
+    furthest inside, and how far towards it (0–1) the level is 0; the others are their own partner."""
+    for i in range(vertices.shape[0]):
+        v = vertices[i]
+        partner[i], mix[i] = v, 0
+        if level[v] > 0:
+            continue
+        best = np.float32(0)
+        for e in range(starts[v], starts[v + 1]):
+            n = neighbours[e]
+            if level[n] > best:
+                best = level[n]
+                partner[i] = n
+        if best > 0:
+            mix[i] = min(-level[v] / (best - level[v]), 0.95)
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def wear(points, directions, compressed, vertices, partner, mix, thickness, slack, fold, crease, out):
+    """Push a shell's vertices out of the posed skin.
+
+    ``thickness`` (metres) stays; ``slack`` lies flat on top of what it rests on and hangs away below, by the height of
+    the normal; ``fold`` (metres, signed) grows by ``crease`` where the skin is compressed, as in a bent elbow.
+    """
+    for i in range(vertices.shape[0]):
+        v, n, m = vertices[i], partner[i], mix[i]
+        up = (1 - m) * directions[v, 2] + m * directions[n, 2]
+        squeezed = min((1 - m) * compressed[v] + m * compressed[n], np.float32(0.5))
+        away = slack[i] * (1 - np.float32(0.85) * up) + fold[i] * (1 + crease * squeezed)
+        away = thickness[i] + max(away, np.float32(0))
+        for k in range(3):
+            out[i, k] = ((1 - m) * points[v, k] + m * points[n, k]) + away * (
+                (1 - m) * directions[v, k] + m * directions[n, k]
+            )
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def hang(height, azimuth, radius, step, decay, columns):
+    """How far cloth that falls from above hangs off the skin at each vertex (metres).
+
+    The widest radius of each azimuth (columns of the circle) is carried down, and shrinks by ``decay`` a metre; and
+    cloth spans the hollows between neighbouring columns.
+    """
+    top, bottom = height.max(), height.min()
+    rows = int((top - bottom) / step) + 2
+    widest = np.zeros((rows, columns), np.float32)
+    turn = columns / (2 * np.pi)
+    half_turn = np.float32(0.5 * np.cos(2 * np.pi / columns))
+    for v in range(height.shape[0]):
+        row = int((top - height[v]) / step)
+        column = int((azimuth[v] + np.pi) * turn) % columns
+        widest[row, column] = max(widest[row, column], radius[v])
+    for row in range(1, rows):
+        for column in range(columns):
+            widest[row, column] = max(widest[row, column], widest[row - 1, column] - decay * step)
+        for _ in range(3):
+            for column in range(columns):
+                chord = half_turn * (widest[row, (column + 1) % columns] + widest[row, column - 1])
+                widest[row, column] = max(widest[row, column], chord)
+    out = np.empty_like(radius)
+    for v in range(height.shape[0]):
+        # A vertex lies between two columns and two rows; what is above it holds the cloth.
+        row = max(int((top - height[v]) / step) - 1, 0)
+        at = (azimuth[v] + np.pi) * turn - np.float32(0.5)
+        column = int(np.floor(at))
+        share = at - column
+        a, b = widest[row, column % columns], widest[row, (column + 1) % columns]
+        out[v] = max((1 - share) * a + share * b - decay * step - radius[v], np.float32(0))
+    return out
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def _leave(x, y, z, starts, ends, start_radii, end_radii):
+    """The point, moved out of capsules whose radius changes from end to end."""
+    for i in range(starts.shape[0]):
+        ax, ay, az = starts[i, 0], starts[i, 1], starts[i, 2]
+        bx, by, bz = ends[i, 0] - ax, ends[i, 1] - ay, ends[i, 2] - az
+        t = ((x - ax) * bx + (y - ay) * by + (z - az) * bz) / (bx * bx + by * by + bz * bz + 1e-9)
+        t = min(max(t, 0.0), 1.0)
+        dx, dy, dz = x - ax - t * bx, y - ay - t * by, z - az - t * bz
+        radius = start_radii[i] + t * (end_radii[i] - start_radii[i])
+        square = dx * dx + dy * dy + dz * dz
+        if 1e-10 < square < radius * radius:
+            grow = radius / np.sqrt(square) - 1
+            x, y, z = x + grow * dx, y + grow * dy, z + grow * dz
+    return x, y, z
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def relax(sheet, along, across, closed, starts, ends, start_radii, end_radii, fall, floor, rounds):
+    """Let a sheet of ``(rows, columns, 3)`` points hang from its first row, in place.
+
+    In each round points fall by ``fall`` metres, are drawn to within ``along`` of the point above and ``across`` of
+    the next in their row, and leave the capsules and the floor. Lengths are only limited from above: cloth folds.
+    Position-based dynamics (Müller et al. 2007) without velocities: the state is the posture's alone.
+    """
+    rows, columns = sheet.shape[0], sheet.shape[1]
+    for _ in range(rounds):
+        for r in range(1, rows):
+            for c in range(columns):
+                x, y, z = sheet[r, c, 0], sheet[r, c, 1], sheet[r, c, 2] - fall
+                dx, dy, dz = x - sheet[r - 1, c, 0], y - sheet[r - 1, c, 1], z - sheet[r - 1, c, 2]
+                length = np.sqrt(dx * dx + dy * dy + dz * dz)
+                if length > along[r - 1, c]:
+                    shrink = 1 - along[r - 1, c] / length
+                    x, y, z = x - shrink * dx, y - shrink * dy, z - shrink * dz
+                sheet[r, c, 0], sheet[r, c, 1], sheet[r, c, 2] = x, y, z
+            for c in range(columns if closed else columns - 1):
+                n = (c + 1) % columns
+                dx = sheet[r, n, 0] - sheet[r, c, 0]
+                dy = sheet[r, n, 1] - sheet[r, c, 1]
+                dz = sheet[r, n, 2] - sheet[r, c, 2]
+                length = np.sqrt(dx * dx + dy * dy + dz * dz)
+                if length > across[r, c]:
+                    half = 0.5 * (1 - across[r, c] / length)
+                    for k, d in enumerate((dx, dy, dz)):
+                        sheet[r, c, k] += half * d
+                        sheet[r, n, k] -= half * d
+            for c in range(columns):
+                x, y, z = _leave(
+                    sheet[r, c, 0], sheet[r, c, 1], sheet[r, c, 2], starts, ends, start_radii, end_radii
+                )
+                sheet[r, c, 0], sheet[r, c, 1], sheet[r, c, 2] = x, y, max(z, floor)

@@ -1,0 +1,198 @@
+"""Dressed bodies: garments, hair and shoes over the bare skin, in any posture.
+
+dressed = clothe(body, random_clothes(rng), rng)
+person = dressed.pose(posture)      # the skin with its labels, and the layers over it
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from depthmocap.body.model import Body, BodyModel, BoneTransforms
+from depthmocap.synth.render import Layer, Material, PosedPerson
+from depthmocap.synth.sheet import Sheet, hair_sheet, skirt_sheet, tail_sheet
+from depthmocap.synth.shell import PosedCloth, RestCloth, Shell, boot_shell, garment_shell, hair_cap
+from depthmocap.synth.wardrobe import Clothes, Hair, Shoes
+
+#: Points around a shoe and a bun.
+_AROUND = 14
+#: Stations along a foot (shares of its length from the heel) and how much of its girth a shoe has there.
+_STATIONS = np.array([-0.03, -0.02, 0.02, 0.1, 0.2, 0.32, 0.45, 0.58, 0.7, 0.82, 0.92, 1.0, 1.04, 1.06])
+_GIRTHS = np.array([0.0, 0.6, 0.9, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.85, 0.55, 0.0])
+#: A shoe's opening above the floor, on the default body (metres).
+_OPENING_M = 0.085
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rigid:
+    """A mesh that moves with one bone: vertices at rest."""
+
+    rest: Float[ndarray, "v 3"]
+    faces: Int[ndarray, "f 3"]
+    bone: int
+
+    def pose(self, transforms: BoneTransforms) -> Float[ndarray, "v 3"]:
+        """Vertices in a posture."""
+        return self.rest @ transforms.rotations[self.bone].T + transforms.offsets[self.bone]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Piece:
+    """One thing that is worn: a shell, a sheet that hangs from it (or from its bones), a rigid part."""
+
+    material: Material
+    shell: Shell | None = None
+    sheet: Sheet | None = None
+    rigid: Rigid | None = None
+
+    def pose(self, cloth: PosedCloth, transforms: BoneTransforms, floor: float) -> Layer:
+        """The piece in a posture."""
+        vertices, faces = [], []
+        held = None
+        if self.shell is not None:
+            points = self.shell.pose(cloth)
+            vertices.append(points)
+            faces.append(self.shell.faces)
+            if self.sheet is not None:
+                held = points[len(points) - self.shell.anchors :]
+        if self.sheet is not None:
+            faces.append(self.sheet.faces + sum(map(len, vertices)))
+            vertices.append(self.sheet.pose(transforms, held, floor))
+        if self.rigid is not None:
+            faces.append(self.rigid.faces + sum(map(len, vertices)))
+            vertices.append(self.rigid.pose(transforms))
+        if len(vertices) == 1:
+            return Layer(vertices[0], faces[0], self.material)
+        return Layer(np.concatenate(vertices), np.concatenate(faces), self.material)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DressedBody:
+    """A body and what it wears, from the inside out, bound to its skeleton."""
+
+    body: Body
+    clothes: Clothes
+    rest: RestCloth
+    pieces: tuple[Piece, ...]
+
+    def pose(self, posture: Float[ndarray, "20 3"]) -> PosedPerson:
+        """The person in a posture (see ``body.posture``). The skin is that of ``body.pose``."""
+        return self.pose_with(self.body.bone_transforms(posture))
+
+    def pose_with(self, transforms: BoneTransforms) -> PosedPerson:
+        """The person moved by transforms of the body's skeleton."""
+        posed = self.body.pose_with(transforms)
+        if not self.pieces:
+            return PosedPerson(posed)
+        cloth = PosedCloth.of(self.rest, transforms)
+        floor = float(posed.vertices[:, 2].min())
+        return PosedPerson(posed, tuple(piece.pose(cloth, transforms, floor) for piece in self.pieces))
+
+
+def clothe(body: Body, clothes: Clothes, rng: np.random.Generator) -> DressedBody:
+    """Dress a body; folds, lumps and hems are drawn from ``rng``. The labels stay those of the skin."""
+    rest = RestCloth.of(body)
+    pieces = []
+    worn = np.zeros(len(rest.points), np.float32)
+    for garment in clothes.garments:
+        shell, worn_now = garment_shell(rest, garment, worn, rng)
+        sheet = None
+        if garment.hangs_m:
+            line = rest.cloth.skirt
+            off = float(np.mean(worn_now[line.second]))
+            sheet = skirt_sheet(rest, body, garment, off, rng)
+        worn = worn_now
+        pieces.append(Piece(Material.DARK_CLOTH if garment.dark else Material.CLOTH, shell, sheet))
+    pieces.extend(_shoes(rest, body, clothes.shoes, worn))
+    pieces.extend(_hair(rest, body, clothes.hair, rng))
+    return DressedBody(body, clothes, rest, tuple(pieces))
+
+
+def _hair(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator) -> list[Piece]:
+    if hair.style == "bald":
+        return []
+    cap = hair_cap(rest, hair, rng)
+    if hair.style in ("bob", "long"):
+        return [Piece(Material.HAIR, cap, hair_sheet(rest, body, hair, rng))]
+    pieces = [Piece(Material.HAIR, cap)]
+    if hair.style == "ponytail":
+        pieces.append(Piece(Material.HAIR, sheet=tail_sheet(rest, body, hair, rng)))
+    if hair.style == "bun":
+        pieces.append(Piece(Material.HAIR, rigid=_bun(rest, body, hair, rng)))
+    return pieces
+
+
+def _grid(rows: int, columns: int) -> Int[ndarray, "f 3"]:
+    """Faces of rows of rings."""
+    number = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
+    number = np.concatenate([number, number[:, :1]], 1)
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+    return np.stack([a, c, b, b, c, d], -1).reshape(-1, 3)
+
+
+def _bun(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator) -> Rigid:
+    """A ball of hair, anywhere from the nape to the crown."""
+    scalp = rest.points[rest.cloth.head]
+    centre = (scalp.max(0) + scalp.min(0)) / 2
+    tilt = rng.uniform(0.0, 1.4)
+    skull = float(np.ptp(scalp[:, 1])) / 2
+    radius = (0.03 + 0.6 * hair.volume_m) * max(rest.scale, 0.8)
+    at = centre + (skull + 0.5 * radius) * np.array([0, np.cos(tilt), np.sin(tilt)])
+    polar = np.linspace(0, np.pi, 9)[:, None]
+    around = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
+    ball = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar) + 0 * around], -1)
+    points = (at + radius * ball.reshape(-1, 3)).astype(np.float32)
+    return Rigid(points, _grid(9, _AROUND), body.model.bone_names.index("head"))
+
+
+@functools.cache
+def _foot_vertices(model: BodyModel) -> dict[str, Int[ndarray, "n"]]:
+    names = np.array(model.bone_names)[model.skin_indices[:, 0]]
+    return {
+        side: np.flatnonzero([name.startswith(("foot", "toe")) and name.endswith(side) for name in names])
+        for side in "LR"
+    }
+
+
+def _shoes(rest: RestCloth, body: Body, shoes: Shoes, worn: Float[ndarray, "n"]) -> list[Piece]:
+    if shoes.style == "bare":
+        return []
+    pieces = [Piece(Material.SHOE, rigid=_shoe(rest, body, shoes, side)) for side in "LR"]
+    if shoes.style == "boots":
+        pieces.append(Piece(Material.SHOE, boot_shell(rest, shoes, worn)))
+    return pieces
+
+
+def _shoe(rest: RestCloth, body: Body, shoes: Shoes, side: str) -> Rigid:
+    """A loft of rings along the foot, measured on its skin, with a flat sole and one toe cap."""
+    points = body.rest_vertices[_foot_vertices(body.model)[side]].astype(np.float64)
+    floor = float(points[:, 2].min())
+    points = points[points[:, 2] < floor + _OPENING_M * rest.scale]
+    middle = points[:, :2].mean(0)
+    _, vectors = np.linalg.eigh(np.cov((points[:, :2] - middle).T))
+    forward = vectors[:, 1] * -np.sign(vectors[1, 1])  # towards −y
+    across = np.array([-forward[1], forward[0]])
+    along, aside = (points[:, :2] - middle) @ forward, (points[:, :2] - middle) @ across
+    length = float(np.ptp(along))
+    share = (along - along.min()) / length
+    rings = []
+    around = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
+    # Boxy: rounder than a box, squarer than an ellipse.
+    x = np.sign(np.cos(around)) * np.abs(np.cos(around)) ** 0.6
+    z = np.sign(np.sin(around)) * np.abs(np.sin(around)) ** 0.6
+    for station, girth in zip(_STATIONS, _GIRTHS, strict=True):
+        near = np.abs(share - np.clip(station, 0.05, 0.95)) < 0.07
+        low, high, top = aside[near].min(), aside[near].max(), points[near, 2].max()
+        half = ((high - low) / 2 + shoes.upper_m) * girth
+        bottom = floor - shoes.sole_m
+        height = (top + shoes.upper_m - bottom) / 2
+        side_at = (low + high) / 2 + half * x
+        plane = middle + (along.min() + station * length) * forward + side_at[:, None] * across
+        rings.append(np.column_stack([plane, bottom + height * girth + height * girth * z]))
+    mesh = np.concatenate(rings).astype(np.float32)
+    return Rigid(mesh, _grid(len(rings), _AROUND), body.model.bone_names.index(f"foot.{side}"))
