@@ -7,9 +7,11 @@ posed = body.pose(posture)
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import warnings
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -157,7 +159,7 @@ class BodyModel:
 
         values = torch.tensor([[getattr(phenotype, label) for label in self._anny.phenotype_labels]])
         none = torch.zeros(1, 0)
-        with torch.no_grad():
+        with torch.no_grad(), _one_thread():
             coefficients = self._anny._get_phenotype_blendshape_coefficients(values.float(), none, none)
             rest = self._anny.get_rest_model(coefficients)
         return Body(rest["rest_vertices"][0].numpy(), rest["rest_bone_heads"][0].numpy().astype(np.float64), self)
@@ -169,6 +171,19 @@ class BodyModel:
         bones = np.array(self.bone_names)[self.skin_indices[:, 0]]
         heads = dict(zip(self.bone_names, body.rest_heads, strict=True))
         return face_regions(body.rest_vertices, self.faces, bones, heads)
+
+
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    """The last bits of torch's sums depend on the number of threads; a body must not."""
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 #: The rest pose.

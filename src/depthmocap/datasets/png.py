@@ -72,8 +72,8 @@ def _file(rows: ndarray, top: int, height: int, width: int, bits: int, colour: i
     """The file of filtered ``rows`` that start ``top`` rows down. The empty rows around them are filtered by "none"."""
     before, after = top * rows.shape[1], (height - top - len(rows)) * rows.shape[1]
     compressor = zlib.compressobj(1, zlib.DEFLATED, -15, 9, zlib.Z_RLE)
-    middle = compressor.compress(rows) + compressor.flush(zlib.Z_FULL_FLUSH)
-    checksum = _after_zeros(zlib.adler32(rows, _after_zeros(1, before)), after)
+    middle = compressor.compress(rows.data) + compressor.flush(zlib.Z_FULL_FLUSH)
+    checksum = _after_zeros(zlib.adler32(rows.data, _after_zeros(1, before)), after)
     data = b"".join((b"\x78\x01", _zeros(before), middle, _zeros(after), _END, struct.pack(">I", checksum)))
     header = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)
     return b"".join((_SIGNATURE, _chunk(b"IHDR", header), _chunk(b"IDAT", data), _chunk(b"IEND", b"")))

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
@@ -57,6 +58,10 @@ _GREYS[1:, 3] = 255
 _COLOURS = np.zeros((256, 4), np.uint8)
 _KNOWN = np.array([*range(REGION_COUNT + 1), UNLABELLED], np.uint8)
 _COLOURS[_KNOWN] = encode_labels(_KNOWN[None])[0]
+#: The label stored for every label of a person's pixel.
+_IMPOSSIBLE = REGION_COUNT + 1
+_STORED = np.full(256, _IMPOSSIBLE, np.uint8)
+_STORED[_KNOWN] = np.where(_KNOWN == 0, UNLABELLED, _KNOWN)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -215,8 +220,9 @@ def _depth_png(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"]) -> by
 
 def _labels_png(labels: UInt8[ndarray, "h w"], mask: Bool[ndarray, "h w"]) -> bytes:
     """The PNG of ``ubc3v.encode_labels``; the person's pixels without a label are unlabelled."""
-    values = np.where(mask, np.where(labels == 0, np.uint8(UNLABELLED), labels), np.uint8(0))
-    if not (_COLOURS[values.ravel(), 3][mask.ravel()] == 255).all():
+    values = cv2.LUT(labels, _STORED)
+    values *= mask
+    if (values == _IMPOSSIBLE).any():
         raise ValueError(f"labels must be 0 to {REGION_COUNT}, or {UNLABELLED} for unlabelled person pixels")
     return colour_png(values, _COLOURS)
 
