@@ -1,0 +1,338 @@
+"""What a depth sensor does to a picture, pixel by pixel. Random numbers are a hash of a seed and a position."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy import ndarray
+
+#: A step between pixels of more than this share of the distance is a silhouette, not a slope.
+EDGE_SHARE = 0.04
+#: tan² of the steepest angle of incidence told apart, about 80°.
+_STEEPEST = 32.0
+#: Deviations that the holes' noise hardly ever goes beyond.
+_MOST = 3.5
+#: Pixels between the points that multipath is worked out at.
+FACING_STEP = 4
+#: Pixels of a block that is searched for silhouettes.
+EDGE_BLOCK = 8
+#: Pixels without depth around the picture for :func:`read`; what is moved, spread or lost goes no farther than this.
+MARGIN = 8
+#: Surfaces facing each other reach this far (metres).
+_FACING_M = 0.3
+
+
+class Pinhole(NamedTuple):
+    """Intrinsics of the part of the picture that is worked on, and the square of the picture's half diagonal."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    corner2: float
+
+
+class Terms(NamedTuple):
+    """The numbers of ``depthmocap.synth.sensor.SensorModel`` that :func:`read` uses."""
+
+    axial_0: float
+    axial_1: float
+    axial_2: float
+    grazing: float
+    correlation: float
+    patch_px: float
+    wave: float
+    lateral_px: float
+    fatten_px: float
+    lost_far_px: float
+    lost_near_px: float
+    flying: float
+    behind_m: float
+    blend: float
+    multipath_m: float
+    reach_m: float
+    hole_spread: float
+    vignette: float
+    nearest_m: float
+    farthest_m: float
+    disparity_m: float
+    step_m: float
+    step_from_m: float
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _bits(seed: int, index: int) -> int:
+    """64 random bits of a position, by splitmix64's finaliser."""
+    x = np.uint64(seed) + np.uint64(index) * np.uint64(0x9E3779B97F4A7C15)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _part(bits: int, i: int) -> float:
+    """One of four uniform numbers in 0–1 from the bits."""
+    return np.float32((bits >> np.uint64(16 * i)) & np.uint64(0xFFFF)) * np.float32(1 / 65536)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _normal(bits: int) -> float:
+    """Nearly normal, deviation 1: a sum of four uniform numbers, never beyond ±3.46."""
+    total = _part(bits, 0) + _part(bits, 1) + _part(bits, 2) + _part(bits, 3)
+    return (total - np.float32(2)) * np.float32(1.7320508)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def field(seed: int, cell: float, out: ndarray) -> None:
+    """Smooth noise of deviation 1, alike within about ``cell`` pixels.
+
+    Between the points of a lattice, weights are the cosine and sine of the way from one to the next: their squares add
+    up to 1, so that the deviation is the same everywhere.
+    """
+    height, width = out.shape
+    shift_u, shift_v = _part(_bits(seed, -1), 0), _part(_bits(seed, -1), 1)
+    across = int((width - 1) / cell + shift_u) + 2
+    upper, lower = np.empty(across, np.float32), np.empty(across, np.float32)
+    columns = np.empty(width, np.int64)
+    near, far = np.empty(width, np.float32), np.empty(width, np.float32)
+    for u in range(width):
+        x = u / cell + shift_u
+        columns[u] = int(x)
+        near[u], far[u] = np.cos((x - int(x)) * np.pi / 2), np.sin((x - int(x)) * np.pi / 2)
+    mixed = np.empty(across, np.float32)
+    row = -1
+    for v in range(height):
+        y = v / cell + shift_v
+        if int(y) != row:
+            row = int(y)
+            for i in range(across):
+                upper[i] = _normal(_bits(seed, row * across + i))
+                lower[i] = _normal(_bits(seed, (row + 1) * across + i))
+        top, bottom = np.float32(np.cos((y - row) * np.pi / 2)), np.float32(np.sin((y - row) * np.pi / 2))
+        for i in range(across):
+            mixed[i] = top * upper[i] + bottom * lower[i]
+        for u in range(width):
+            out[v, u] = near[u] * mixed[columns[u]] + far[u] * mixed[columns[u] + 1]
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def cast_shadows(depth: ndarray, focal_baseline: float, dark: ndarray) -> None:
+    """Mark what a lamp (or a second camera) beside the camera does not reach.
+
+    ``focal_baseline`` is the focal length in pixels times the metres to the lamp, positive on the right. Along a row
+    the lamp sees pixels at ``u - focal_baseline / z``; whatever it sees out of order is behind something.
+    """
+    height, width = depth.shape
+    sign = 1 if focal_baseline > 0 else -1
+    for v in range(height):
+        first = np.inf
+        for i in range(width):
+            u = width - 1 - i if sign > 0 else i
+            z = depth[v, u]
+            if z > 0:
+                # Mirrored for a lamp on the left, so that it always runs downwards.
+                at = sign * (u - focal_baseline / z)
+                if at > first + 0.5:
+                    dark[v, u] = True
+                elif at < first:
+                    first = at
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _shift(pixels: float) -> int:
+    """A displacement in whole pixels, within the margin."""
+    # The cast cuts towards zero: the large number makes that a floor.
+    return min(max(int(pixels + 1024.5) - 1024, -MARGIN), MARGIN)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _slope(before: float, z: float, after: float) -> float:
+    """Change of depth per pixel; across a silhouette that of the side without the jump."""
+    a, b = z - before, after - z
+    # Written as choices between numbers, which the compiler makes without branches.
+    a, b = b if before <= 0 else a, a if after <= 0 else b
+    slope = a if abs(a) < abs(b) else b
+    return np.float32(0) if max(before, after) <= 0 else slope
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def facing(depth: ndarray, focal: float, out: ndarray) -> None:
+    """How much of a surface's surroundings (0–1) stands in front of its tangent plane, near enough to send light there.
+
+    ``out`` has a point for every ``FACING_STEP`` pixels. Eight points around, 4 and 9 cm away, stand for all.
+    """
+    height, width = depth.shape
+    turns = np.arange(8) * np.pi / 4
+    reach = np.where(np.arange(8) % 2 == 1, 0.04, 0.09).astype(np.float32)
+    across, down = (reach * np.cos(turns)).astype(np.float32), (reach * np.sin(turns)).astype(np.float32)
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            v, u = min(i * FACING_STEP, height - 1), min(j * FACING_STEP, width - 1)
+            z = depth[v, u]
+            out[i, j] = 0
+            if z <= 0:
+                continue
+            zu = _slope(depth[v, max(u - 1, 0)], z, depth[v, min(u + 1, width - 1)])
+            zv = _slope(depth[max(v - 1, 0), u], z, depth[min(v + 1, height - 1), u])
+            scale = np.float32(focal) / z
+            total = np.float32(0)
+            for k in range(8):
+                du, dv = int(scale * across[k]), int(scale * down[k])
+                if not (0 <= v + dv < height and 0 <= u + du < width):
+                    continue
+                other = depth[v + dv, u + du]
+                before = z + zu * du + zv * dv - other
+                if other > 0 and 0.01 < before < _FACING_M:
+                    total += before / np.sqrt(before * before + reach[k] * reach[k])
+            out[i, j] = total / 8
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def silhouettes(depth: ndarray, blocks: ndarray) -> None:
+    """Mark the blocks of ``EDGE_BLOCK`` pixels that hold a jump between neighbours, and the blocks around them."""
+    height, width = depth.shape
+    for v in range(height):
+        for u in range(width):
+            z = depth[v, u]
+            right = depth[v, u + 1] if u < width - 1 else np.float32(0)
+            below = depth[v + 1, u] if v < height - 1 else np.float32(0)
+            edge = EDGE_SHARE * z
+            if abs(right - z) > edge or abs(below - z) > edge:
+                i, j = v // EDGE_BLOCK, u // EDGE_BLOCK
+                blocks[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2] = True
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _incidence(above: ndarray, here: ndarray, below: ndarray, v: int, camera: Pinhole, secant2: ndarray) -> None:
+    """1 / cos² of the angles of incidence in one row, given with its margin and its neighbours.
+
+    The normal of a surface with slopes (p, q) in pixels is (-fx p, -fy q, z + du p + dv q), and its product with the
+    ray (x, y, 1) is the depth z.
+    """
+    dv = np.float32(v - camera.cy)
+    fx, fy, y = np.float32(camera.fx), np.float32(camera.fy), dv / np.float32(camera.fy)
+    one = np.float32(1)
+    for u in range(secant2.size):
+        z = here[u + MARGIN]
+        p = _slope(here[u + MARGIN - 1], z, here[u + MARGIN + 1])
+        q = _slope(above[u + MARGIN], z, below[u + MARGIN])
+        du = np.float32(u) - np.float32(camera.cx)
+        x = du / fx
+        a, b, c = fx * p, fy * q, z + du * p + dv * q
+        secant2[u] = (a * a + b * b + c * c) * (one + x * x + y * y) / (z * z)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def read(
+    depth: ndarray,
+    material: ndarray,
+    reflectance: ndarray,
+    dark: ndarray,
+    faced: ndarray,
+    blocks: ndarray,
+    smooth: ndarray,
+    camera: Pinhole,
+    terms: Terms,
+    seed: int,
+    out: ndarray,
+) -> None:
+    """The reading of every pixel with depth; ``out`` keeps its 0 elsewhere, and where a pixel is lost.
+
+    ``depth`` has a margin around the picture. ``smooth`` holds five fields: displacement along u and v, error, slow
+    error, and holes. ``dark`` and ``faced`` come from :func:`cast_shadows` and :func:`facing`, ``blocks`` from
+    :func:`silhouettes`. What is off may be empty.
+    """
+    # One function, because calls that pass arrays on cost more than the work in them.
+    height, width = out.shape
+    patches = terms.patch_px > 1
+    shared, own = np.float32(np.sqrt(terms.correlation)), np.float32(np.sqrt(1 - terms.correlation))
+    holes = terms.reach_m < np.inf
+    shadowed, corrected, edges = dark.size > 0, faced.size > 0, blocks.size > 0
+    secant2 = np.empty(width, np.float32)
+    # The holes' noise is hardly ever beyond this: a stronger signal is never lost.
+    safe = np.exp(_MOST * terms.hole_spread)
+    for v in range(height):
+        row = v + MARGIN
+        _incidence(depth[row - 1], depth[row], depth[row + 1], v, camera, secant2)
+        for u in range(width):
+            column = u + MARGIN
+            exact = depth[row, column]
+            if exact <= 0 or (shadowed and dark[v, u]):
+                continue
+            index = v * width + u
+            z = exact
+            left, right = depth[row, column - 1], depth[row, column + 1]
+            above, below = depth[row - 1, column], depth[row + 1, column]
+            if edges and blocks[v // EDGE_BLOCK, u // EDGE_BLOCK]:
+                edge = EDGE_SHARE * exact
+                if patches:
+                    gu, gv = smooth[0, v, u], smooth[1, v, u]
+                else:
+                    bits = _bits(seed + 1, index)
+                    # Triangular, deviation 1.
+                    gu = (_part(bits, 0) + _part(bits, 1) - np.float32(1)) * np.float32(2.4494897)
+                    gv = (_part(bits, 2) + _part(bits, 3) - np.float32(1)) * np.float32(2.4494897)
+                z = depth[row + _shift(terms.lateral_px * gv), column + _shift(terms.lateral_px * gu)]
+                if z <= 0:
+                    continue
+                lost = False
+                for sign in (-1, 1):
+                    if terms.fatten_px > 0:
+                        length = sign * terms.fatten_px
+                        other = depth[row + _shift(length * gv), column + _shift(length * gu)]
+                        if 0 < other < z - edge:
+                            z = other
+                    # Turned by a right angle, so that what is lost does not follow what is moved.
+                    if terms.lost_far_px > 0:
+                        length = sign * terms.lost_far_px
+                        other = depth[row + _shift(length * gu), column - _shift(length * gv)]
+                        lost |= 0 < other < z - edge
+                    if terms.lost_near_px > 0:
+                        length = sign * terms.lost_near_px
+                        other = depth[row + _shift(length * gu), column - _shift(length * gv)]
+                        lost |= other <= 0 or other > z + edge
+                if lost:
+                    continue
+                nearest, farthest = min(left, right, above, below), max(left, right, above, below)
+                if nearest <= 0 or nearest < exact - edge or farthest > exact + edge:
+                    chance = _bits(seed + 2, index)
+                    share = _part(chance, 1)
+                    if nearest <= 0 and _part(chance, 0) < terms.blend:
+                        z *= share
+                    elif _part(chance, 2) < terms.flying:
+                        # The near surface sends more light back: mixtures crowd there.
+                        far = farthest if farthest > z + edge else z + terms.behind_m
+                        if 0 < nearest < z - edge:
+                            far, z = z, nearest
+                        z += share * share * (far - z)
+            du, dv = u - camera.cx, v - camera.cy
+            seen = reflectance[material[v, u]]
+            seen *= 1 - terms.vignette * (du * du + dv * dv) / camera.corner2
+            if holes:
+                signal = seen * terms.reach_m * terms.reach_m / (z * z * np.sqrt(secant2[u]))
+                if signal < safe:
+                    draw = np.float32(0.6) * _normal(_bits(seed + 3, index))
+                    if smooth.shape[0] > 4:
+                        draw += np.float32(0.8) * smooth[4, v, u]
+                    if signal < np.exp(terms.hole_spread * draw):
+                        continue
+            sigma = terms.axial_0 + z * (terms.axial_1 + z * terms.axial_2)
+            sigma *= 1 + terms.grazing * min(secant2[u] - 1, _STEEPEST)
+            sigma /= np.sqrt(max(seen, 0.02))
+            error = own * _normal(_bits(seed, index))
+            if terms.correlation > 0:
+                error += shared * smooth[2, v, u]
+            if terms.wave > 0:
+                error += terms.wave * smooth[3, v, u]
+            z += sigma * error
+            if corrected:
+                z += terms.multipath_m * faced[v, u]
+            if terms.disparity_m > 0 and z > 0:
+                # Disparity is counted in whole steps; disparity_m is the focal length times the baseline over a step.
+                z = terms.disparity_m / max(np.round(terms.disparity_m / z), 1)
+            if terms.step_m > 0:
+                z = terms.step_from_m + np.round((z - terms.step_from_m) / terms.step_m) * terms.step_m
+            if terms.nearest_m <= z <= terms.farthest_m and z > 0:
+                out[v, u] = z
