@@ -129,16 +129,26 @@ def cast(rays_x, rays_y, windows, kinds, halves, frames, materials, depth, value
                     values[row, column] = material
 
 
+@numba.njit(inline="always")
+def _place(m, p):
+    """A point in a solid's frame."""
+    return (
+        m[0, 0] * p[0] + m[0, 1] * p[1] + m[0, 2] * p[2] + m[0, 3],
+        m[1, 0] * p[0] + m[1, 1] * p[1] + m[1, 2] * p[2] + m[1, 3],
+        m[2, 0] * p[0] + m[2, 1] * p[1] + m[2, 2] * p[2] + m[2, 3],
+    )
+
+
 @numba.njit(cache=True, fastmath=_MATH, error_model="numpy", nogil=True)
 def hides(kinds, halves, frames, eyes, points, hidden):
     """Mark in ``hidden`` (eyes × points) what a solid hides of the points. ``frames``: ``local_from_world``."""
     for k in range(kinds.shape[0]):
         m = frames[k]
         for e in range(eyes.shape[0]):
-            o = m[:, :3] @ eyes[e] + m[:, 3]
+            o0, o1, o2 = _place(m, eyes[e])
             for p in range(points.shape[0]):
-                d = m[:, :3] @ points[p] + m[:, 3] - o
-                t = _enter(kinds[k], halves[k], o[0], o[1], o[2], d[0], d[1], d[2])
+                p0, p1, p2 = _place(m, points[p])
+                t = _enter(kinds[k], halves[k], o0, o1, o2, p0 - o0, p1 - o1, p2 - o2)
                 if t > 0 and t < 1:
                     hidden[e, p] = True
 
@@ -147,20 +157,17 @@ def hides(kinds, halves, frames, eyes, points, hidden):
 def holds_any(kinds, halves, frames, points):
     """Whether any point lies within any solid; a shell counts as a box. ``frames``: ``local_from_world``."""
     for k in range(kinds.shape[0]):
-        kind, m = kinds[k], frames[k]
+        kind = kinds[k]
         for p in range(points.shape[0]):
-            a, b, c = points[p, 0], points[p, 1], points[p, 2]
-            z = abs(m[2, 0] * a + m[2, 1] * b + m[2, 2] * c + m[2, 3])
-            if z > 1 + halves[k]:
+            x, y, z = _place(frames[k], points[p])
+            if abs(z) > 1 + halves[k]:
                 continue
-            x = abs(m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3])
-            y = abs(m[1, 0] * a + m[1, 1] * b + m[1, 2] * c + m[1, 3])
             if kind in (BOX, SHELL):
-                inside = x < 1 and y < 1
+                inside = abs(x) < 1 and abs(y) < 1
             elif kind == CYLINDER:
                 inside = x * x + y * y < 1
             else:
-                z = max(z - halves[k], 0.0)  # no half but of capsules
+                z = max(abs(z) - halves[k], 0.0)  # no half but of capsules
                 inside = x * x + y * y + z * z < 1
             if inside:
                 return True

@@ -21,7 +21,8 @@ Range: TypeAlias = tuple[float, float]
 
 def yaw(angle_rad: float) -> np.ndarray:
     """Rotation about the vertical."""
-    return Rotation.from_euler("z", angle_rad).as_matrix()
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
 
 
 def _block(x: Range, y: Range, z: Range) -> Solids:

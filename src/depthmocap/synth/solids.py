@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from depthmocap.geometry.cameras import DepthCamera
-from depthmocap.geometry.transforms import rotation_between
 from depthmocap.kernels.cast import BOX, CAPSULE, CYLINDER, ELLIPSOID, SHELL, cast, hides, holds_any
 from depthmocap.synth.render import Material
 
@@ -202,10 +201,13 @@ def join(parts: Iterable[Solids]) -> Solids:
 
 
 def _axes_along(directions: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3 3"]:
-    """Rotations that take z to directions; any for a zero direction."""
-    up = np.zeros_like(directions, dtype=float)
-    up[..., 2] = 1
-    return rotation_between(up, np.where(directions.any(-1, keepdims=True), directions, up))
+    """Rotations that take the z axis to lines, either way round; any for a zero direction."""
+    lengths = np.linalg.norm(directions, axis=-1, keepdims=True)
+    x, y, z = np.moveaxis(np.where(lengths > 0, directions / np.where(lengths > 0, lengths, 1), [0, 0, 1]), -1, 0)
+    x, y, z = (a * np.where(z < 0, -1, 1) for a in (x, y, z))
+    share = 1 / (1 + z)
+    rows = [1 - x * x * share, -x * y * share, x, -x * y * share, 1 - y * y * share, y, -x, -y, z]
+    return np.stack(rows, -1).reshape(*directions.shape, 3)
 
 
 #: Nothing.

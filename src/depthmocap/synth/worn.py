@@ -118,7 +118,7 @@ def _instrument(rng: np.random.Generator, trunk: _Trunk) -> tuple[Solids, Solids
     large, deep = rng.uniform(0.17, 0.21) * trunk.scale, rng.uniform(0.04, 0.06) * trunk.scale
     side = 1.0 if rng.random() < 0.85 else -1.0  # left-handed players are few
     z = rng.uniform(0.15, 0.3) * trunk.length
-    y = trunk.back(0, z, -1, (large, large)) - deep
+    y = trunk.back(0, z, -1, (0.6 * large, 0.6 * large)) - deep
     slope = rng.uniform(0.1, 0.7)
     along = np.array([side * np.cos(slope), 0, np.sin(slope)])
     turn = trunk.world_from_trunk @ axes_of(np.array([0, 1.0, 0]), along)
@@ -151,8 +151,9 @@ def _hat(rng: np.random.Generator, body: PosedBody) -> Solids:
     low, high = skull.min(0), skull.max(0)
     kind = rng.choice(["cap", "hat", "helmet"])
     pad = rng.uniform(0.02, 0.04) if kind == "helmet" else rng.uniform(0.008, 0.02)
-    centre = np.array([*(low + high)[:2] / 2, low[2]])
-    half = (high - low) * [0.54, 0.54, 1] + pad
+    # Its lower half narrows into the head, above the eyes.
+    centre = np.array([*(low + high)[:2] / 2, 0.7 * low[2] + 0.3 * high[2]])
+    half = (high - low) * [0.54, 0.54, 0.7] + pad
     parts = [ellipsoid(turn @ centre, half, turn, Material.OBJECT)]
     width = rng.uniform(0.05, 0.12)
     if kind == "hat":
