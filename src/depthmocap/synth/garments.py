@@ -16,7 +16,7 @@ from numpy import ndarray
 from depthmocap.body.model import Body, BodyModel, BoneTransforms
 from depthmocap.synth.render import Layer, Material, PosedPerson
 from depthmocap.synth.sheet import Sheet, hair_sheet, skirt_sheet, tail_sheet
-from depthmocap.synth.shell import PosedCloth, RestCloth, Shell, boot_shell, garment_shell, hair_cap
+from depthmocap.synth.shell import PosedCloth, RestCloth, Shell, boot_shell, garment_level, garment_shell, hair_cap
 from depthmocap.synth.wardrobe import Clothes, Hair, Shoes
 
 #: Points around a shoe and a bun.
@@ -24,6 +24,8 @@ _AROUND = 14
 #: Stations along a foot (shares of its length from the heel) and how much of its girth a shoe has there.
 _STATIONS = np.array([-0.03, -0.02, 0.02, 0.1, 0.2, 0.32, 0.45, 0.58, 0.7, 0.82, 0.92, 1.0, 1.04, 1.06])
 _GIRTHS = np.array([0.0, 0.6, 0.9, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.85, 0.55, 0.0])
+#: Trousers with less slack go into boots (metres).
+_TIGHT_M = 0.015
 #: A shoe's opening above the floor, on the default body (metres).
 _OPENING_M = 0.085
 
@@ -99,16 +101,26 @@ def clothe(body: Body, clothes: Clothes, rng: np.random.Generator) -> DressedBod
     rest = RestCloth.of(body)
     pieces = []
     worn = np.zeros(len(rest.points), np.float32)
-    for garment in clothes.garments:
-        shell, worn_now = garment_shell(rest, garment, worn, rng)
+    # Wide trousers fall over boots; tight ones go into them.
+    boots = clothes.shoes.style == "boots"
+    over_trousers = boots and all(garment.slack_m < _TIGHT_M for garment in clothes.garments if garment.leg)
+    if boots and not over_trousers:
+        shaft, worn = boot_shell(rest, clothes.shoes, worn)
+        pieces.append(Piece(Material.SHOE, shaft))
+    levels = [garment_level(rest.cloth, garment) for garment in clothes.garments]
+    for i, garment in enumerate(clothes.garments):
+        over = np.max(levels[i + 1 :], axis=0) if i + 1 < len(levels) else np.full_like(worn, -1)
+        shell, worn_now = garment_shell(rest, garment, levels[i], worn, over, rng)
         sheet = None
         if garment.hangs_m:
-            line = rest.cloth.skirt
-            off = float(np.mean(worn_now[line.second]))
-            sheet = skirt_sheet(rest, body, garment, off, rng)
+            under = float(np.mean(worn[rest.cloth.leg & (rest.cloth.along < 1)]))
+            sheet = skirt_sheet(rest, body, garment, shell.anchors_off_m, under, rng)
         worn = worn_now
         pieces.append(Piece(Material.DARK_CLOTH if garment.dark else Material.CLOTH, shell, sheet))
-    pieces.extend(_shoes(rest, body, clothes.shoes, worn))
+    if over_trousers:
+        pieces.append(Piece(Material.SHOE, boot_shell(rest, clothes.shoes, worn)[0]))
+    if clothes.shoes.style != "bare":
+        pieces.extend(Piece(Material.SHOE, rigid=_shoe(rest, body, clothes.shoes, side)) for side in "LR")
     pieces.extend(_hair(rest, body, clothes.hair, rng))
     return DressedBody(body, clothes, rest, tuple(pieces))
 
@@ -118,7 +130,7 @@ def _hair(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator) -> 
         return []
     cap = hair_cap(rest, hair, rng)
     if hair.style in ("bob", "long"):
-        return [Piece(Material.HAIR, cap, hair_sheet(rest, body, hair, rng))]
+        return [Piece(Material.HAIR, cap, hair_sheet(rest, body, hair, cap.anchors_off_m, rng))]
     pieces = [Piece(Material.HAIR, cap)]
     if hair.style == "ponytail":
         pieces.append(Piece(Material.HAIR, sheet=tail_sheet(rest, body, hair, rng)))
@@ -157,15 +169,6 @@ def _foot_vertices(model: BodyModel) -> dict[str, Int[ndarray, "n"]]:
         side: np.flatnonzero([name.startswith(("foot", "toe")) and name.endswith(side) for name in names])
         for side in "LR"
     }
-
-
-def _shoes(rest: RestCloth, body: Body, shoes: Shoes, worn: Float[ndarray, "n"]) -> list[Piece]:
-    if shoes.style == "bare":
-        return []
-    pieces = [Piece(Material.SHOE, rigid=_shoe(rest, body, shoes, side)) for side in "LR"]
-    if shoes.style == "boots":
-        pieces.append(Piece(Material.SHOE, boot_shell(rest, shoes, worn)))
-    return pieces
 
 
 def _shoe(rest: RestCloth, body: Body, shoes: Shoes, side: str) -> Rigid:

@@ -47,14 +47,13 @@ def leg_capsules(rest: RestCloth, body: Body) -> Capsules:
     """Thighs, shins and the trunk above, measured on the body."""
     cloth, names, rows = rest.cloth, body.model.bone_names, []
     for side in ("L", "R"):
-        joints = [names.index(f"{bone}.{side}") for bone in ("upperleg01", "lowerleg01", "foot")]
-        hip, knee, ankle = body.rest_heads[joints]
+        joints = [names.index(f"{bone}.{side}") for bone in ("upperleg01", "lowerleg01")]
         own = cloth.leg & (cloth.left == (side == "L"))
         points, along = rest.points[own], cloth.along[own]
-        for bone, start, end, first, last in ((0, hip, knee, 0.3, 0.95), (1, knee, ankle, 1.25, 1.9)):
-            near, far = (_radius(points[np.abs(along - at) < 0.1], start, end) for at in (first, last))
-            slope = (far - near) / (last - first)
-            rows.append((joints[bone], start, end, near - slope * (first - bone), far + slope * (bone + 1 - last)))
+        for bone, first, last in ((0, 0.3, 0.95), (1, 1.2, 1.9)):
+            (start, near), (end, far) = (_section(points[np.abs(along - at) < 0.1]) for at in (first, last))
+            # The thigh goes on a little above the crotch, inside the pelvis.
+            rows.append((joints[bone], start + (start - end) * (0.2 if bone == 0 else 0.1), end, near, far))
     middle = [body.rest_heads[names.index(bone)] for bone in ("root", "spine02")]
     near = np.abs(rest.points[:, 2] - middle[1][2]) < 0.05
     chest = rest.points[near & cloth.trunk & (np.abs(rest.points[:, 0]) < 0.03)]
@@ -65,11 +64,10 @@ def leg_capsules(rest: RestCloth, body: Body) -> Capsules:
     return _capsules(rows)
 
 
-def _radius(points: Float[ndarray, "n 3"], start: Float[ndarray, "3"], end: Float[ndarray, "3"]) -> float:
-    direction = (end - start) / np.linalg.norm(end - start)
-    away = points - start
-    away = away - np.outer(away @ direction, direction)
-    return float(np.quantile(np.linalg.norm(away, axis=1), 0.9))
+def _section(points: Float[ndarray, "n 3"]) -> tuple[Float[ndarray, "3"], float]:
+    """Centre and radius (metres) of a slice of a limb."""
+    centre = points.mean(0)
+    return centre, float(np.quantile(np.hypot(*(points - centre)[:, :2].T), 0.96))
 
 
 def upper_capsules(rest: RestCloth, body: Body) -> Capsules:
@@ -176,11 +174,12 @@ def _ramp(x: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
     return x * x * (3 - 2 * x)
 
 
-def skirt_sheet(rest: RestCloth, body: Body, garment: Garment, off_m: float, rng: np.random.Generator) -> Sheet:
+def skirt_sheet(rest: RestCloth, body: Body, garment: Garment, off_m: Float[ndarray, "c"], under_m: float, rng: np.random.Generator) -> Sheet:
     """What hangs around both legs: a skirt, or the lower part of a dress or coat.
 
     Args:
-        off_m: how far the garment stands off the skin at the line it hangs from.
+        off_m: how far the garment stands off the skin at the line it hangs from, by column.
+        under_m: how far what is worn beneath stands off the legs.
     """
     anchors, names = rest.cloth.skirt, body.model.bone_names
     heads = dict(zip(names, body.rest_heads, strict=True))
@@ -209,13 +208,14 @@ def skirt_sheet(rest: RestCloth, body: Body, garment: Garment, off_m: float, rng
     plane = centre + reach[..., None] * out
     points = np.concatenate([plane, (top - np.minimum(drop, top - floor - 0.02))[..., None]], 2)[:, columns]
 
-    legs = _ramp(down / 0.25)[:, None]
+    # In front cloth follows the thigh from the groin on, behind it first follows the seat.
+    legs = _ramp(down[:, None] / (0.13 + 0.08 * np.cos(azimuth[columns])))
     knee = float(heads["lowerleg01.L"][2])
     shins = _ramp((knee + 0.06 - points[..., 2]) / 0.14)
     left = _ramp(0.5 + points[..., 0] / (2 * float(soft.mean())))
     weights = np.stack(
         [
-            np.broadcast_to(1 - legs, left.shape),
+            1 - legs,
             legs * left * (1 - shins), legs * (1 - left) * (1 - shins), legs * left * shins, legs * (1 - left) * shins,
         ],
         -1,
@@ -223,14 +223,16 @@ def skirt_sheet(rest: RestCloth, body: Body, garment: Garment, off_m: float, rng
     bones = [
         names.index(bone) for bone in ("root", "upperleg01.L", "upperleg01.R", "lowerleg01.L", "lowerleg01.R")
     ]
-    margin = garment.thickness_m + 0.008
+    margin = garment.thickness_m + under_m + 0.006
     return _sheet(
         points, bones, weights, not garment.open_m, columns, leg_capsules(rest, body), margin, 0.012, 12
     )
 
 
-def hair_sheet(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator) -> Sheet:
-    """Hair that hangs around the head, from temple to temple: bob and long."""
+def hair_sheet(
+    rest: RestCloth, body: Body, hair: Hair, off_m: Float[ndarray, "c"], rng: np.random.Generator
+) -> Sheet:
+    """Hair that hangs around the head, from temple to temple: bob and long; ``off_m`` as for skirts."""
     anchors, names = rest.cloth.hair, body.model.bone_names
     share = anchors.share[:, None]
     line = (1 - share) * rest.points[anchors.first] + share * rest.points[anchors.second]
@@ -239,7 +241,7 @@ def hair_sheet(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator
     length = hair.length_m * rest.scale
     down = np.linspace(0, length, max(round(length / _HAIR_ROW_M), 3) + 1)
     waves = 1 + hair.lumps * np.cos(rng.integers(4, 9) * azimuth + rng.uniform(0, 6))
-    reach = hair.volume_m * waves + 0.02 * _ramp(down / 0.1)[:, None]
+    reach = off_m + (hair.volume_m * (waves - 1) + 0.015) * _ramp(down / 0.06)[:, None]
     plane = line[:, :2] + reach[..., None] * out
     # Shorter towards the face.
     shorter = 1 - 0.35 * rng.uniform() * (np.abs(azimuth) / HAIR_SIDE_RAD) ** 4

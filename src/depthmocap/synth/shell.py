@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from depthmocap.body.model import Body, BoneTransforms
@@ -87,6 +87,11 @@ class Shell:
     faces: Int[ndarray, "g 3"]
     anchors: int
 
+    @property
+    def anchors_off_m(self) -> Float[ndarray, "c"]:
+        """How far (metres) the vertices that carry a sheet stand off the skin where they are upright."""
+        return (self.thickness + self.slack)[len(self.vertices) - self.anchors :]
+
     def pose(self, posed: PosedCloth) -> Float[ndarray, "m 3"]:
         """Vertices over the posed skin."""
         out = np.empty((len(self.vertices), 3), np.float32)
@@ -102,7 +107,7 @@ def _smooth(x: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
     return x * x * (3 - 2 * x)
 
 
-def _level(cloth: ClothMap, garment: Garment) -> Float[ndarray, "n"]:
+def garment_level(cloth: ClothMap, garment: Garment) -> Float[ndarray, "n"]:
     """Metres inside a garment's edges; 0 and below is outside."""
     level = np.full(len(cloth.vertices), _OFF, np.float32)
     trunk, arm, leg = cloth.trunk, cloth.arm, cloth.leg
@@ -155,13 +160,12 @@ def _air(rest: RestCloth, garment: Garment) -> Float[ndarray, "n"]:
     air = np.zeros(len(points), np.float32)
     if not garment.sag:
         return air
-    decay = np.float32(0.12 + 1.2 * (1 - garment.sag))
+    decay = np.float32(0.12 + 0.8 * (1 - garment.sag))
     taut = np.float32(3.0)
     step = np.float32(0.025)
     parts = []
     if garment.top is None:
-        # The armpit has no skin to hang from: the flank below counts.
-        hanging = cloth.trunk & (cloth.armness < 0.1) & (cloth.height < 0.6)
+        hanging = cloth.trunk & (cloth.armness < 0.3) & (cloth.height < 0.63)
     else:
         hanging = cloth.trunk & (cloth.height < garment.top)
     radius = np.hypot(points[hanging, 0], points[hanging, 1] - rest.centre_y)
@@ -176,7 +180,10 @@ def _air(rest: RestCloth, garment: Garment) -> Float[ndarray, "n"]:
             parts.append((mask, -along * np.float32(_LEG_M), np.linalg.norm(points[mask, :2] - bone, axis=1), decay))
     for mask, height, radius, shrink in parts:
         air[mask] = hang(height, cloth.azimuth[mask], radius.astype(np.float32), step, shrink, 24)
-    return np.minimum(air * garment.sag, MOST_AIR_M)
+    # Shoulders and arms carry it.
+    carried = _smooth((0.63 - cloth.height) / 0.12) * _smooth((0.3 - cloth.armness) / 0.25)
+    air = np.where(cloth.trunk, air * carried, air)
+    return np.minimum(air * (0.3 + 0.7 * garment.sag), MOST_AIR_M).astype(np.float32)
 
 
 def _noise(
@@ -204,7 +211,8 @@ def _folds(
         # Ridges are narrower than the valleys between them, and here and there cloth lies smooth.
         patches = _smooth(0.3 + 0.8 * _noise(rest.points, (0.15, 0.4), 3, rng))
         rings += patches * (1 - 1.6 * np.abs(np.sin(phase / 2))).astype(np.float32)
-    folds = garment.folds_m * rings
+    # A skirt's folds are those of what hangs.
+    folds = rings * (min(garment.folds_m, 0.006) if garment.skirt_m else garment.folds_m)
     if garment.top is None:
         drapes = np.cos(rng.integers(4, 10) * cloth.azimuth + rng.uniform(0, 2 * np.pi) + wander)
         folds += np.where(cloth.trunk, 0.4 * garment.slack_m * drapes * _smooth(1 - level / 0.35), 0)
@@ -218,9 +226,13 @@ def _cut(
     level: Float[ndarray, "n"],
     fields: tuple[Float[ndarray, "n"], ...],
     anchors: Anchors | None,
+    hidden: Bool[ndarray, "n"] | None = None,
 ) -> Shell:
-    """The shell where ``level`` is above 0, its vertices outside drawn to the edge; fields are (thickness, slack, fold)."""
+    """The shell where ``level`` is above 0, its vertices outside drawn to the edge, without faces that are hidden.
+    Fields are (thickness, slack, fold)."""
     kept = (level > 0)[cloth.faces].any(1)
+    if hidden is not None:
+        kept &= ~hidden[cloth.faces].all(1)
     used = np.zeros(len(level), bool)
     used[cloth.faces[kept]] = True
     vertices = np.flatnonzero(used).astype(np.int32)
@@ -238,15 +250,21 @@ def _cut(
 
 
 def garment_shell(
-    rest: RestCloth, garment: Garment, under: Float[ndarray, "n"], rng: np.random.Generator
+    rest: RestCloth,
+    garment: Garment,
+    level: Float[ndarray, "n"],
+    under: Float[ndarray, "n"],
+    over: Float[ndarray, "n"],
+    rng: np.random.Generator,
 ) -> tuple[Shell, Float[ndarray, "n"]]:
     """The part of a garment that follows the body, and how far (metres) all that is worn now stands off the skin.
 
     Args:
+        level: the garment's own (see :func:`garment_level`).
         under: how far what is worn beneath stands off the skin.
+        over: level of what is worn above: it presses on this garment, and hides it but for the rim.
     """
     cloth = rest.cloth
-    level = _level(cloth, garment)
     air = _air(rest, garment) + garment.slack_m * rest.scale * _shape(cloth, garment, level)
     thickness = garment.thickness_m + under
     if garment.hood_m:
@@ -254,7 +272,10 @@ def garment_shell(
     # Slack beneath is not added: the outer garment presses on it, or has room for it.
     air = np.maximum(air - 0.5 * under, 0)
     folds = _folds(rest, garment, level, rng)
-    shell = _cut(cloth, level, (thickness, air, folds), cloth.skirt if garment.hangs_m else None)
+    free = 1 - 0.8 * _smooth(over / 0.04 + 0.5)
+    air, folds = air * free, folds * free
+    anchors = cloth.skirt if garment.hangs_m else None
+    shell = _cut(cloth, level, (thickness, air, folds), anchors, over > 0.05)
     worn = np.where(level > 0, thickness + 0.4 * air, under).astype(np.float32)
     return shell, worn
 
@@ -276,7 +297,7 @@ def hair_cap(rest: RestCloth, hair: Hair, rng: np.random.Generator) -> Shell:
     level = np.where(cloth.head, np.minimum(cloth.scalp * 0.06 - 0.02, back + np.clip(high - 0.1, 0, 1)), _OFF)
     level = level.astype(np.float32)
     rim = 0.35 + 0.65 * _smooth(level / 0.03)
-    lumps = 1 + 0.45 * hair.lumps * _noise(rest.points, (0.03, 0.09), 5, rng)
+    lumps = 1 + 0.25 * hair.lumps * _noise(rest.points, (0.05, 0.12), 6, rng)
     # Hair stands off the crown more than off the nape.
     crown = 0.6 + 0.4 * _smooth((high - 0.02) / 0.12)
     thickness = (np.maximum(hair.volume_m * rim * lumps * crown, 0.003) * max(rest.scale, 0.8)).astype(np.float32)
@@ -284,10 +305,13 @@ def hair_cap(rest: RestCloth, hair: Hair, rng: np.random.Generator) -> Shell:
     return _cut(cloth, level, (thickness, none, none), cloth.hair if hair.style in ("bob", "long") else None)
 
 
-def boot_shell(rest: RestCloth, shoes: Shoes, under: Float[ndarray, "n"]) -> Shell:
-    """The shafts of boots."""
+def boot_shell(
+    rest: RestCloth, shoes: Shoes, under: Float[ndarray, "n"]
+) -> tuple[Shell, Float[ndarray, "n"]]:
+    """The shafts of boots, and how far all that is worn now stands off the skin."""
     cloth = rest.cloth
     level = np.where(cloth.leg, (cloth.along - shoes.shaft) * _LEG_M, _OFF).astype(np.float32)
-    thickness = (shoes.upper_m + 0.004 + 0.6 * np.minimum(under, 0.015)).astype(np.float32)
+    thickness = (shoes.upper_m + 0.004 + under).astype(np.float32)
     none = np.zeros_like(thickness)
-    return _cut(cloth, level, (thickness, none, none), None)
+    shell = _cut(cloth, level, (thickness, none, none), None)
+    return shell, np.where(level > 0, thickness, under).astype(np.float32)

@@ -74,8 +74,8 @@ class Garment:
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{self.family}: {name} must be in 0 to 1, got {getattr(self, name)}")
         for name in ("sleeve", "leg"):
-            if not 0 <= getattr(self, name) <= 2:
-                raise InputError(f"{self.family}: {name} must be in 0 (none) to 2 (full), got {getattr(self, name)}")
+            if not 0 <= getattr(self, name) <= 2.2:
+                raise InputError(f"{self.family}: {name} must be in 0 (none) to 2.2, got {getattr(self, name)}")
 
     @property
     def hangs_m(self) -> float:
@@ -138,7 +138,7 @@ FAMILIES: dict[str, dict[str, _Range]] = {
              "neck": (0.01, 0.06), "sleeve": (1.7, 2.0), "skirt_m": (0.3, 0.8), "flare": (0.03, 0.25),
              "hood_m": (0.005, 0.04)},
     "trousers": {"thickness_m": (0.003, 0.009), "slack_m": (0.0, 0.075), "sag": (0.1, 0.9), "folds_m": (0.001, 0.010),
-                 "top": (0.16, 0.27), "leg": (1.75, 2.03), "cuff": (0, 0.5)},
+                 "top": (0.16, 0.27), "leg": (1.8, 2.12), "cuff": (0, 0.5)},
     "shorts": {"thickness_m": (0.003, 0.009), "slack_m": (0.002, 0.06), "sag": (0.3, 1), "folds_m": (0.002, 0.009),
                "top": (0.16, 0.27), "leg": (0.4, 1.15)},
     "skirt": {"thickness_m": (0.003, 0.009), "slack_m": (0.003, 0.03), "sag": (0.5, 1), "folds_m": (0.002, 0.02),
@@ -213,7 +213,9 @@ def random_clothes(rng: np.random.Generator, held_out: bool = False, gender: flo
         else:
             garments = [bottom, top]
     if held_out:
-        garments.append(random_garment(rng, HELD_OUT_FAMILY))
+        coat = random_garment(rng, HELD_OUT_FAMILY)
+        # It must go over a skirt.
+        garments.append(dataclasses.replace(coat, flare=max([coat.flare, *(inner.flare for inner in garments)])))
     elif rng.random() < 0.22:
         garments.append(random_garment(rng, "jacket"))
     return Clothes(tuple(garments), hair, shoes)
@@ -222,7 +224,7 @@ def random_clothes(rng: np.random.Generator, held_out: bool = False, gender: flo
 #: What the one character of easy and inter wears.
 ORDINARY_CLOTHES = Clothes(
     (
-        Garment("trousers", 0.005, slack_m=0.025, sag=0.5, folds_m=0.004, top=0.2, leg=1.97),
+        Garment("trousers", 0.005, slack_m=0.025, sag=0.5, folds_m=0.004, top=0.2, leg=2.05),
         Garment("t-shirt", 0.005, slack_m=0.02, sag=0.6, folds_m=0.005, hem=0.03, neck=0.0, sleeve=0.7),
     ),
     Hair("short", 0.015),
