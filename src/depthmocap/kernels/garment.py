@@ -44,22 +44,83 @@ def compression(points, starts, neighbours, rest_lengths, out):
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def snap(level, vertices, starts, neighbours, partner, mix):
-    """Where a garment's edge runs. For the i-th of its vertices that lies outside (``level`` ≤ 0), the neighbour
-    furthest inside, and how far towards it (0–1) the level is 0; the others are their own partner."""
-    for i in range(vertices.shape[0]):
-        v = vertices[i]
-        partner[i], mix[i] = v, 0
+def edge_lengths(points, starts, neighbours):
+    """Length of every edge of a mesh in CSR form."""
+    out = np.empty(neighbours.shape[0], np.float32)
+    for v in range(points.shape[0]):
+        for e in range(starts[v], starts[v + 1]):
+            n = neighbours[e]
+            x, y, z = points[n, 0] - points[v, 0], points[n, 1] - points[v, 1], points[n, 2] - points[v, 2]
+            out[e] = np.sqrt(x * x + y * y + z * z) + np.float32(1e-6)
+    return out
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def cut(level, hidden, faces, starts, neighbours):
+    """The part of a mesh where ``level`` is above 0, without faces whose corners are all ``hidden``.
+
+    Returns:
+        its vertices; the faces counted by them; for those outside (``level`` ≤ 0) the neighbour furthest inside, the
+        others themselves; and how far towards it (0–1) the level is 0.
+    """
+    number = np.full(level.shape[0], -1, np.int32)
+    kept = np.empty_like(faces)
+    count = 0
+    for f in range(faces.shape[0]):
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        inside = level[i] > 0 or level[j] > 0 or level[k] > 0
+        if inside and not (hidden[i] and hidden[j] and hidden[k]):
+            kept[count, 0], kept[count, 1], kept[count, 2] = i, j, k
+            number[i] = number[j] = number[k] = 0
+            count += 1
+    used = np.flatnonzero(number == 0).astype(np.int32)
+    partner = used.copy()
+    mix = np.zeros(used.shape[0], np.float32)
+    for i in range(used.shape[0]):
+        v = used[i]
+        number[v] = i
         if level[v] > 0:
             continue
         best = np.float32(0)
         for e in range(starts[v], starts[v + 1]):
-            n = neighbours[e]
-            if level[n] > best:
-                best = level[n]
-                partner[i] = n
+            if level[neighbours[e]] > best:
+                best = level[neighbours[e]]
+                partner[i] = neighbours[e]
         if best > 0:
-            mix[i] = min(-level[v] / (best - level[v]), 0.95)
+            mix[i] = min(-level[v] / (best - level[v]), np.float32(0.95))
+    local = kept[:count].copy()
+    for f in range(count):
+        for k in range(3):
+            local[f, k] = number[local[f, k]]
+    return used, local, partner, mix
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def between(field, vertices, partner, mix):
+    """A field at points between vertices and their partners."""
+    out = np.empty(vertices.shape[0], np.float32)
+    for i in range(vertices.shape[0]):
+        out[i] = (1 - mix[i]) * field[vertices[i]] + mix[i] * field[partner[i]]
+    return out
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def rings(level, metres, azimuth, slant, wander, patches, trunk, waves, out):
+    """Add folds that run around limbs and trunk, where ``level`` is not far outside.
+
+    The first ``trunk`` vertices are the trunk's. A row of ``waves``: wave number on limbs and trunk (radians a metre), turns around the limb, phase. Ridges
+    are narrower than the valleys between them; where ``patches`` is low, cloth lies smooth.
+    """
+    for v in range(level.shape[0]):
+        if level[v] < np.float32(-0.1):
+            continue
+        total = np.float32(0)
+        for i in range(waves.shape[0]):
+            share = min(max(np.float32(0.3) + np.float32(0.8) * patches[i, v], np.float32(0)), np.float32(1))
+            number = waves[i, 1] if v < trunk else waves[i, 0]
+            phase = number * metres[v] + waves[i, 2] * slant[v] * azimuth[v] + wander[v] + waves[i, 3]
+            total += share * share * (3 - 2 * share) * (1 - np.float32(1.6) * abs(np.sin(np.float32(0.5) * phase)))
+        out[v] = total
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
@@ -164,7 +225,5 @@ def relax(sheet, along, across, closed, starts, ends, start_radii, end_radii, fa
                         sheet[r, c, k] += half * d
                         sheet[r, n, k] -= half * d
             for c in range(columns):
-                x, y, z = _leave(
-                    sheet[r, c, 0], sheet[r, c, 1], sheet[r, c, 2], starts, ends, start_radii, end_radii
-                )
+                x, y, z = _leave(sheet[r, c, 0], sheet[r, c, 1], sheet[r, c, 2], starts, ends, start_radii, end_radii)
                 sheet[r, c, 0], sheet[r, c, 1], sheet[r, c, 2] = x, y, max(z, floor)

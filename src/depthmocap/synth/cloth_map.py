@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -19,6 +20,12 @@ SKIRT_COLUMNS, HAIR_COLUMNS = 44, 18
 HAIR_LINE_M = 0.015
 #: Half the part of the head's circle, from the back, that long hair hangs from (radians).
 HAIR_SIDE_RAD = 1.9
+#: Where thighs and shins are measured, as counted by ``ClothMap.along``.
+SECTIONS = ((0.3, 0.95), (1.2, 1.9))
+#: Typical lengths (metres) of what ``ClothMap.along`` counts as 1.
+ARM_M, LEG_M = 0.26, 0.46
+#: Random fields of each kind.
+_FIELDS = 24
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -38,13 +45,18 @@ class ClothMap:
     Attributes:
         vertices: indices into the body's mesh; all else counts these.
         starts, neighbours: edges at each vertex, in CSR form.
-        arm, leg: which vertices are an arm's, a leg's; ``head`` the scalp's, ``trunk`` the rest.
+        trunk, arm, left_leg, right_leg, leg, head: slices of the vertices; the trunk comes first, upwards.
         armness: weight of the arm's bones.
         height: above the crotch.
         along: on arms 0 shoulder, 1 elbow, 2 wrist; on legs 0 hip, 1 knee, 2 ankle; 0 elsewhere.
         neck: above a slope through the root of the neck, which is lower in front.
         scalp: 1 where hair grows, 0 elsewhere, softened.
         azimuth: around the trunk, around the bone on limbs; 0 is at the back, positive to the left (radians).
+        slant: 1 on the left and −1 on the right, so that what slants is symmetric.
+        metres: along the limb, or the height.
+        coarse, fine: smooth random fields of deviation about 0.7, of 12–40 cm and of 5–12 cm.
+        chest: vertices around the trunk at the height of the breastbone.
+        sections: vertices around each limb (side, 0 for thigh and 1 for shin) at ``SECTIONS``.
     """
 
     vertices: Int[ndarray, "n"]
@@ -53,11 +65,12 @@ class ClothMap:
     neighbours: Int[ndarray, "e"]
     skin_indices: Int[ndarray, "n k"]
     skin_weights: Float[ndarray, "n k"]
-    arm: Bool[ndarray, "n"]
-    leg: Bool[ndarray, "n"]
-    left: Bool[ndarray, "n"]
-    head: Bool[ndarray, "n"]
-    trunk: Bool[ndarray, "n"]
+    trunk: slice
+    arm: slice
+    left_leg: slice
+    right_leg: slice
+    leg: slice
+    head: slice
     armness: Float[ndarray, "n"]
     default: Float[ndarray, "n 3"]
     height: Float[ndarray, "n"]
@@ -65,6 +78,12 @@ class ClothMap:
     neck: Float[ndarray, "n"]
     scalp: Float[ndarray, "n"]
     azimuth: Float[ndarray, "n"]
+    slant: Float[ndarray, "n"]
+    metres: Float[ndarray, "n"]
+    coarse: Float[ndarray, "b n"]
+    fine: Float[ndarray, "b n"]
+    chest: Int[ndarray, "_"]
+    sections: dict[tuple[str, int], tuple[Int[ndarray, "_"], Int[ndarray, "_"]]]
     stature: float
     skirt: Anchors
     hair: Anchors
@@ -91,10 +110,8 @@ def _build(model: BodyModel) -> ClothMap:
     kinds = np.array([name.removesuffix(" R").removesuffix(" L") for name in REGION_NAMES])[model.face_regions]
     wanted = ~np.isin(kinds, ("hand", "forefoot", "face"))
     vertices, inverse = np.unique(model.faces[wanted], return_inverse=True)
-    faces = inverse.reshape(-1, 3).astype(np.int32)
-    edges = _edges(faces)
+    faces = inverse.reshape(-1, 3)
     points = body.rest_vertices[vertices].astype(np.float64)
-    x, y, z = points.T
 
     def weight(*prefixes: str) -> Float[ndarray, "n"]:
         bones = _starts_with(model.bone_names, *prefixes)
@@ -107,11 +124,17 @@ def _build(model: BodyModel) -> ClothMap:
     crotch = float(body.rest_vertices[middle & (body.rest_vertices[:, 2] < hip[2] + 0.05), 2].min())
     hairy = np.bincount(faces.ravel(), np.repeat(np.isin(kinds[wanted], ("hair", "forehead")), 3).astype(float))
     scalp = hairy / np.bincount(faces.ravel())
-    head = scalp > 0.3
-    arm = (armness > 0.5) & ~head
-    # The leg begins where cloth must part: below the crotch.
-    leg = (legness > 0.5) & (z < crotch) & ~arm
-    trunk = ~(arm | leg | head)
+    # Where cloth must part, below the crotch, the leg begins.
+    part = np.select([scalp > 0.3, armness > 0.5, (legness > 0.5) & (points[:, 2] < crotch)], [4, 1, 2], 0)
+    part[(part == 2) & (points[:, 0] < 0)] = 3
+    order = np.lexsort((points[:, 2], part))
+    vertices, points, armness, scalp, part = (a[order] for a in (vertices, points, armness, scalp, part))
+    faces = np.argsort(order)[faces].astype(np.int32)
+    edges = _edges(faces)
+    x, y, z = points.T
+    first = np.searchsorted(part, range(6))
+    trunk, arm, left_leg, right_leg, head = (slice(int(a), int(b)) for a, b in itertools.pairwise(first))
+    leg = slice(left_leg.start, right_leg.stop)
     root = heads["neck01"]
     neck = (z - root[2]) - 0.55 * (y - root[1])
 
@@ -120,7 +143,7 @@ def _build(model: BodyModel) -> ClothMap:
     chains = {"arm": ("upperarm01.L", "lowerarm01.L", "wrist.L"), "leg": ("upperleg01.L", "lowerleg01.L", "foot.L")}
     for mask, (start, bend, end) in ((arm, chains["arm"]), (leg, chains["leg"])):
         along[mask], azimuth[mask] = _along_limb(mirrored[mask], heads[start], heads[bend], heads[end])
-    centre = float(np.median(y[trunk & (z < root[2])]))
+    centre = float(np.median(y[trunk][z[trunk] < root[2]]))
     azimuth[trunk] = np.arctan2(x[trunk], y[trunk] - centre)
     skull = heads["head"]
     azimuth[head] = np.arctan2(x[head], y[head] - skull[1])
@@ -137,11 +160,12 @@ def _build(model: BodyModel) -> ClothMap:
         neighbours=edges[:, 1].astype(np.int32),
         skin_indices=np.ascontiguousarray(model.skin_indices[vertices]),
         skin_weights=np.ascontiguousarray(model.skin_weights[vertices]),
-        arm=arm,
-        leg=leg,
-        left=x > 0,
-        head=head,
         trunk=trunk,
+        arm=arm,
+        left_leg=left_leg,
+        right_leg=right_leg,
+        leg=leg,
+        head=head,
         armness=armness.astype(as_float),
         default=points.astype(as_float),
         height=(z - crotch).astype(as_float),
@@ -149,10 +173,34 @@ def _build(model: BodyModel) -> ClothMap:
         neck=neck.astype(as_float),
         scalp=scalp.astype(as_float),
         azimuth=azimuth.astype(as_float),
+        slant=np.where((part == 0) | (x > 0), 1, -1).astype(as_float),
+        metres=np.select([part == 1, (part == 2) | (part == 3)], [along * ARM_M, along * LEG_M], z - crotch).astype(
+            as_float
+        ),
+        coarse=_random_fields(points, (0.12, 0.4), 4),
+        fine=_random_fields(points, (0.05, 0.12), 6),
+        chest=np.flatnonzero((part == 0) & (np.abs(z - heads["spine01"][2]) < 0.05) & (np.abs(x) < 0.05)),
+        sections={
+            (side, bone): tuple(np.flatnonzero((part == code) & (np.abs(along - at) < 0.1)) for at in SECTIONS[bone])
+            for side, code in (("L", 2), ("R", 3))
+            for bone in (0, 1)
+        },
         stature=float(np.ptp(body.rest_vertices[:, 2])),
-        skirt=_anchors(points, edges, ~arm & ~head, crotch + SKIRT_LINE_M, (0.0, centre), around),
-        hair=_anchors(points, edges, ~arm, eye + HAIR_LINE_M, (0.0, float(skull[1])), hair_around),
+        skirt=_anchors(points, edges, np.isin(part, (0, 2, 3)), crotch + SKIRT_LINE_M, (0.0, centre), around),
+        hair=_anchors(points, edges, part == 4, eye + HAIR_LINE_M, (0.0, float(skull[1])), hair_around),
     )
+
+
+def _random_fields(
+    points: Float[ndarray, "n 3"], wavelengths: tuple[float, float], waves: int
+) -> Float[ndarray, "b n"]:
+    """Sums of plane waves of random directions and lengths (metres): always the same, garments choose among them."""
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(_FIELDS, waves, 3))
+    lengths = rng.uniform(*wavelengths, (_FIELDS, waves, 1))
+    directions *= 2 * np.pi / lengths / np.linalg.norm(directions, axis=2, keepdims=True)
+    phases = directions @ points.T + rng.uniform(0, 2 * np.pi, (_FIELDS, waves, 1))
+    return (np.sin(phases).sum(1) / np.sqrt(waves)).astype(np.float32)
 
 
 def _along_limb(

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from depthmocap.body.model import Body, BodyModel, BoneTransforms
+from depthmocap.body.model import Body, BodyModel, BoneTransforms, Phenotype
 from depthmocap.synth.render import Layer, Material, PosedPerson
 from depthmocap.synth.sheet import Sheet, hair_sheet, skirt_sheet, tail_sheet
 from depthmocap.synth.shell import PosedCloth, RestCloth, Shell, boot_shell, garment_level, garment_shell, hair_cap
@@ -109,18 +109,18 @@ def clothe(body: Body, clothes: Clothes, rng: np.random.Generator) -> DressedBod
         pieces.append(Piece(Material.SHOE, shaft))
     levels = [garment_level(rest.cloth, garment) for garment in clothes.garments]
     for i, garment in enumerate(clothes.garments):
-        over = np.max(levels[i + 1 :], axis=0) if i + 1 < len(levels) else np.full_like(worn, -1)
+        over = np.max(levels[i + 1 :], axis=0) if i + 1 < len(levels) else None
         shell, worn_now = garment_shell(rest, garment, levels[i], worn, over, rng)
         sheet = None
         if garment.hangs_m:
-            under = float(np.mean(worn[rest.cloth.leg & (rest.cloth.along < 1)]))
+            under = float(worn[rest.cloth.sections["L", 0][1]].mean())
             sheet = skirt_sheet(rest, body, garment, shell.anchors_off_m, under, rng)
         worn = worn_now
         pieces.append(Piece(Material.DARK_CLOTH if garment.dark else Material.CLOTH, shell, sheet))
     if over_trousers:
         pieces.append(Piece(Material.SHOE, boot_shell(rest, clothes.shoes, worn)[0]))
     if clothes.shoes.style != "bare":
-        pieces.extend(Piece(Material.SHOE, rigid=_shoe(rest, body, clothes.shoes, side)) for side in "LR")
+        pieces.extend(Piece(Material.SHOE, rigid=_shoe(body, clothes.shoes, side)) for side in "LR")
     pieces.extend(_hair(rest, body, clothes.hair, rng))
     return DressedBody(body, clothes, rest, tuple(pieces))
 
@@ -139,6 +139,7 @@ def _hair(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator) -> 
     return pieces
 
 
+@functools.cache
 def _grid(rows: int, columns: int) -> Int[ndarray, "f 3"]:
     """Faces of rows of rings."""
     number = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
@@ -163,39 +164,38 @@ def _bun(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator) -> R
 
 
 @functools.cache
-def _foot_vertices(model: BodyModel) -> dict[str, Int[ndarray, "n"]]:
+def _foot_stations(model: BodyModel, side: str) -> tuple[Int[ndarray, "n"], Int[ndarray, "s"], int, int]:
+    """Vertices of a foot station by station, where each station starts among them, and its heel and toe."""
+    body = model.shape(Phenotype())
     names = np.array(model.bone_names)[model.skin_indices[:, 0]]
-    return {
-        side: np.flatnonzero([name.startswith(("foot", "toe")) and name.endswith(side) for name in names])
-        for side in "LR"
-    }
+    foot = np.array([name.startswith(("foot", "toe")) and name.endswith(side) for name in names])
+    points = body.rest_vertices.astype(np.float64)
+    foot &= points[:, 2] < points[:, 2].min() + _OPENING_M
+    heel = int(np.argmax(np.where(foot, points[:, 1], -np.inf)))
+    toe = int(np.argmin(np.where(foot, points[:, 1], np.inf)))
+    forward = points[toe, :2] - points[heel, :2]
+    share = (points[:, :2] - points[heel, :2]) @ forward / (forward @ forward)
+    near = [np.flatnonzero(foot & (np.abs(share - np.clip(at, 0.05, 0.95)) < 0.07)) for at in _STATIONS]
+    return np.concatenate(near), np.cumsum([0, *map(len, near[:-1])]), heel, toe
 
 
-def _shoe(rest: RestCloth, body: Body, shoes: Shoes, side: str) -> Rigid:
+def _shoe(body: Body, shoes: Shoes, side: str) -> Rigid:
     """A loft of rings along the foot, measured on its skin, with a flat sole and one toe cap."""
-    points = body.rest_vertices[_foot_vertices(body.model)[side]].astype(np.float64)
-    floor = float(points[:, 2].min())
-    points = points[points[:, 2] < floor + _OPENING_M * rest.scale]
-    middle = points[:, :2].mean(0)
-    _, vectors = np.linalg.eigh(np.cov((points[:, :2] - middle).T))
-    forward = vectors[:, 1] * -np.sign(vectors[1, 1])  # towards −y
+    vertices, starts, heel, toe = _foot_stations(body.model, side)
+    points = body.rest_vertices[vertices].astype(np.float64)
+    back, front = (body.rest_vertices[end, :2].astype(np.float64) for end in (heel, toe))
+    length = float(np.linalg.norm(front - back))
+    forward = (front - back) / length
     across = np.array([-forward[1], forward[0]])
-    along, aside = (points[:, :2] - middle) @ forward, (points[:, :2] - middle) @ across
-    length = float(np.ptp(along))
-    share = (along - along.min()) / length
-    rings = []
+    aside = (points[:, :2] - back) @ across
+    low, high = np.minimum.reduceat(aside, starts), np.maximum.reduceat(aside, starts)
+    top = np.maximum.reduceat(points[:, 2], starts) + shoes.upper_m
+    bottom = float(points[:, 2].min()) - shoes.sole_m
     around = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
-    # Boxy: rounder than a box, squarer than an ellipse.
-    x = np.sign(np.cos(around)) * np.abs(np.cos(around)) ** 0.6
-    z = np.sign(np.sin(around)) * np.abs(np.sin(around)) ** 0.6
-    for station, girth in zip(_STATIONS, _GIRTHS, strict=True):
-        near = np.abs(share - np.clip(station, 0.05, 0.95)) < 0.07
-        low, high, top = aside[near].min(), aside[near].max(), points[near, 2].max()
-        half = ((high - low) / 2 + shoes.upper_m) * girth
-        bottom = floor - shoes.sole_m
-        height = (top + shoes.upper_m - bottom) / 2
-        side_at = (low + high) / 2 + half * x
-        plane = middle + (along.min() + station * length) * forward + side_at[:, None] * across
-        rings.append(np.column_stack([plane, bottom + height * girth + height * girth * z]))
-    mesh = np.concatenate(rings).astype(np.float32)
-    return Rigid(mesh, _grid(len(rings), _AROUND), body.model.bone_names.index(f"foot.{side}"))
+    # Rounder than a box, squarer than an ellipse.
+    x, z = (np.sign(c) * np.abs(c) ** 0.6 for c in (np.cos(around), np.sin(around)))
+    sideways = ((low + high) / 2)[:, None] + (((high - low) / 2 + shoes.upper_m) * _GIRTHS)[:, None] * x
+    plane = back + (_STATIONS * length)[:, None, None] * forward + sideways[..., None] * across
+    upwards = bottom + ((top - bottom) / 2 * _GIRTHS)[:, None] * (1 + z)
+    mesh = np.concatenate([plane, upwards[..., None]], 2).reshape(-1, 3).astype(np.float32)
+    return Rigid(mesh, _grid(len(_STATIONS), _AROUND), body.model.bone_names.index(f"foot.{side}"))

@@ -48,15 +48,12 @@ def leg_capsules(rest: RestCloth, body: Body) -> Capsules:
     cloth, names, rows = rest.cloth, body.model.bone_names, []
     for side in ("L", "R"):
         joints = [names.index(f"{bone}.{side}") for bone in ("upperleg01", "lowerleg01")]
-        own = cloth.leg & (cloth.left == (side == "L"))
-        points, along = rest.points[own], cloth.along[own]
-        for bone, first, last in ((0, 0.3, 0.95), (1, 1.2, 1.9)):
-            (start, near), (end, far) = (_section(points[np.abs(along - at) < 0.1]) for at in (first, last))
+        for bone in (0, 1):
+            (start, near), (end, far) = (_section(rest.points[ids]) for ids in cloth.sections[side, bone])
             # The thigh goes on a little above the crotch, inside the pelvis.
             rows.append((joints[bone], start + (start - end) * (0.2 if bone == 0 else 0.1), end, near, far))
     middle = [body.rest_heads[names.index(bone)] for bone in ("root", "spine02")]
-    near = np.abs(rest.points[:, 2] - middle[1][2]) < 0.05
-    chest = rest.points[near & cloth.trunk & (np.abs(rest.points[:, 0]) < 0.03)]
+    chest = rest.points[cloth.chest]
     radius = float(np.ptp(chest[:, 1])) / 2
     for side in (-0.35, 0.35):
         shift = np.array([side * body.rest_heads[names.index("upperarm01.L"), 0], 0, 0])
@@ -67,7 +64,8 @@ def leg_capsules(rest: RestCloth, body: Body) -> Capsules:
 def _section(points: Float[ndarray, "n 3"]) -> tuple[Float[ndarray, "3"], float]:
     """Centre and radius (metres) of a slice of a limb."""
     centre = points.mean(0)
-    return centre, float(np.quantile(np.hypot(*(points - centre)[:, :2].T), 0.96))
+    away = np.hypot(*(points - centre)[:, :2].T)
+    return centre, float(np.sort(away)[int(0.95 * len(away))])
 
 
 def upper_capsules(rest: RestCloth, body: Body) -> Capsules:
@@ -79,13 +77,13 @@ def upper_capsules(rest: RestCloth, body: Body) -> Capsules:
     scalp = rest.points[cloth.head]
     centre = (scalp.max(0) + scalp.min(0)) / 2
     wide = float(np.ptp(scalp[:, 0])) / 2
-    chest = rest.points[cloth.trunk & (np.abs(rest.points[:, 0]) < 0.05) & (rest.points[:, 2] < shoulder[2])]
-    chest = chest[chest[:, 2] > shoulder[2] - 0.15 * rest.scale]
-    deep = float(np.quantile(chest[:, 1], 0.95) - np.quantile(chest[:, 1], 0.05)) / 2
-    middle_y = float(np.quantile(chest[:, 1], 0.95)) - deep
+    nose = np.array([0, 0.02, 0])
+    chest = rest.points[cloth.chest, 1]
+    deep = float(np.ptp(chest)) / 2
+    middle_y = float(chest.max()) - deep
     spine, chest_bone = names.index("spine01"), names.index("spine03")
     rows = [
-        (names.index("head"), centre - [0, 0.02, 0], centre + [0, 0.02, 0], wide, wide),
+        (names.index("head"), centre - nose, centre + nose, wide, wide),
         (names.index("neck02"), root, skull, 0.06 * rest.scale, 0.06 * rest.scale),
     ]
     for sign in (-1, 1):
@@ -174,7 +172,9 @@ def _ramp(x: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
     return x * x * (3 - 2 * x)
 
 
-def skirt_sheet(rest: RestCloth, body: Body, garment: Garment, off_m: Float[ndarray, "c"], under_m: float, rng: np.random.Generator) -> Sheet:
+def skirt_sheet(
+    rest: RestCloth, body: Body, garment: Garment, off_m: Float[ndarray, "c"], under_m: float, rng: np.random.Generator
+) -> Sheet:
     """What hangs around both legs: a skirt, or the lower part of a dress or coat.
 
     Args:
@@ -220,18 +220,12 @@ def skirt_sheet(rest: RestCloth, body: Body, garment: Garment, off_m: Float[ndar
         ],
         -1,
     )  # fmt: skip
-    bones = [
-        names.index(bone) for bone in ("root", "upperleg01.L", "upperleg01.R", "lowerleg01.L", "lowerleg01.R")
-    ]
+    bones = [names.index(bone) for bone in ("root", "upperleg01.L", "upperleg01.R", "lowerleg01.L", "lowerleg01.R")]
     margin = garment.thickness_m + under_m + 0.006
-    return _sheet(
-        points, bones, weights, not garment.open_m, columns, leg_capsules(rest, body), margin, 0.012, 12
-    )
+    return _sheet(points, bones, weights, not garment.open_m, columns, leg_capsules(rest, body), margin, 0.012, 12)
 
 
-def hair_sheet(
-    rest: RestCloth, body: Body, hair: Hair, off_m: Float[ndarray, "c"], rng: np.random.Generator
-) -> Sheet:
+def hair_sheet(rest: RestCloth, body: Body, hair: Hair, off_m: Float[ndarray, "c"], rng: np.random.Generator) -> Sheet:
     """Hair that hangs around the head, from temple to temple: bob and long; ``off_m`` as for skirts."""
     anchors, names = rest.cloth.hair, body.model.bone_names
     share = anchors.share[:, None]
@@ -249,9 +243,7 @@ def hair_sheet(
     shoulders = np.broadcast_to(_ramp((down - 0.1) / 0.15)[:, None], plane.shape[:2])
     weights = np.stack([1 - shoulders, shoulders], -1)
     bones = [names.index("head"), names.index("spine01")]
-    return _sheet(
-        points, bones, weights, False, np.arange(len(azimuth)), upper_capsules(rest, body), 0.012, 0.015, 14
-    )
+    return _sheet(points, bones, weights, False, np.arange(len(azimuth)), upper_capsules(rest, body), 0.012, 0.015, 14)
 
 
 def tail_sheet(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator) -> Sheet:

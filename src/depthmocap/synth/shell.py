@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from depthmocap.body.model import Body, BoneTransforms
-from depthmocap.kernels.garment import compression, hang, pose_skin, snap, wear
+from depthmocap.kernels.garment import between, compression, cut, edge_lengths, hang, pose_skin, rings, wear
 from depthmocap.kernels.skin import vertex_normals
-from depthmocap.synth.cloth_map import Anchors, ClothMap
+from depthmocap.synth.cloth_map import ARM_M, LEG_M, SECTIONS, Anchors, ClothMap
 from depthmocap.synth.wardrobe import SKIRT_LINE_M, Garment, Hair, Shoes
 
 #: Folds of a fully compressed spot, as a multiple of those at rest.
@@ -20,8 +20,8 @@ CREASE = 5.0
 OVERLAP_M = 0.015
 #: Most air that falling cloth leaves under it.
 MOST_AIR_M = 0.11
-#: Typical lengths (metres) of what ``ClothMap.along`` counts as 1.
-_ARM_M, _LEG_M = 0.26, 0.46
+#: Above this height over the crotch (metres) tops rest on the body.
+_CARRIED_M = 0.63
 _OFF = np.float32(-1.0)
 
 
@@ -43,8 +43,7 @@ class RestCloth:
         points = body.rest_vertices[cloth.vertices]
         normals = np.empty_like(points)
         vertex_normals(points, cloth.faces, normals)
-        owners = np.repeat(np.arange(len(points)), np.diff(cloth.starts))
-        lengths = np.linalg.norm(points[cloth.neighbours] - points[owners], axis=1) + np.float32(1e-6)
+        lengths = edge_lengths(points, cloth.starts, cloth.neighbours)
         scale = float(np.ptp(body.rest_vertices[:, 2])) / cloth.stature
         line = cloth.skirt
         centre_y = float((points[line.first, 1].max() + points[line.first, 1].min()) / 2)
@@ -111,25 +110,27 @@ def garment_level(cloth: ClothMap, garment: Garment) -> Float[ndarray, "n"]:
     """Metres inside a garment's edges; 0 and below is outside."""
     level = np.full(len(cloth.vertices), _OFF, np.float32)
     trunk, arm, leg = cloth.trunk, cloth.arm, cloth.leg
+    height = cloth.height[trunk]
     hem = SKIRT_LINE_M - OVERLAP_M if garment.hangs_m else garment.hem
     if garment.top is not None:
-        level[trunk] = garment.top - cloth.height[trunk]
-        if not garment.leg:
-            level[trunk] = np.minimum(level[trunk], cloth.height[trunk] - hem)
-        level[leg] = (garment.leg - cloth.along[leg]) * _LEG_M if garment.leg else _OFF
+        level[trunk] = garment.top - height
+        if garment.leg:
+            level[leg] = (garment.leg - cloth.along[leg]) * LEG_M
+        else:
+            level[trunk] = np.minimum(level[trunk], height - hem)
         return level
-    level[trunk] = cloth.height[trunk] - hem
-    if garment.sleeve > 0:
-        level[arm] = (garment.sleeve - cloth.along[arm]) * _ARM_M
-    else:
-        level = np.minimum(level, (np.float32(0.3) - cloth.armness) * np.float32(0.2))
-    across = np.abs(cloth.default[:, 0])
-    front = np.abs(cloth.azimuth) > np.pi / 2
+    across = np.abs(cloth.default[trunk, 0])
+    front = np.abs(cloth.azimuth[trunk]) > np.pi / 2
     dip = garment.v_neck_m * front * np.clip(1 - across / 0.11, 0, 1)
-    level[trunk] = np.minimum(level, garment.neck - dip - cloth.neck)[trunk]
+    inside = np.minimum(height - hem, garment.neck - dip - cloth.neck[trunk])
     if garment.open_m:
-        gap = garment.open_m * (1 - 0.8 * np.clip(cloth.height, 0, 0.6))
-        level[trunk & front] = np.minimum(level, across - gap)[trunk & front]
+        gap = garment.open_m * (1 - 0.8 * np.clip(height, 0, 0.6))
+        inside[front] = np.minimum(inside, across - gap)[front]
+    level[trunk] = inside
+    if garment.sleeve > 0:
+        level[arm] = (garment.sleeve - cloth.along[arm]) * ARM_M
+    else:
+        level[trunk] = np.minimum(inside, (0.3 - cloth.armness[trunk]) * 0.2)
     return level
 
 
@@ -139,13 +140,12 @@ def _shape(cloth: ClothMap, garment: Garment, level: Float[ndarray, "n"]) -> Flo
     trunk, arm, leg = cloth.trunk, cloth.arm, cloth.leg
     if garment.top is None:
         shape[trunk] = 0.1 + 0.9 * _smooth((0.62 - cloth.height[trunk]) / 0.4)
-        full = np.minimum(garment.sleeve, 2.0)
         # A short sleeve is widest at its opening, a long one at the elbow.
-        widening = cloth.along[arm] / max(full, 0.1) if full < 1.3 else np.sin(np.pi * cloth.along[arm] / 2.4)
+        along, sleeve = cloth.along[arm], garment.sleeve
+        widening = along / max(sleeve, 0.1) if sleeve < 1.3 else np.sin(np.pi / 2.4 * along)
         shape[arm] = 0.3 + 0.45 * np.clip(widening, 0, 1)
     else:
-        down = _smooth((garment.top - cloth.height[trunk]) / 0.28)
-        shape[trunk] = 0.4 * down
+        shape[trunk] = 0.4 * _smooth((garment.top - cloth.height[trunk]) / 0.28)
         shape[leg] = 0.4 + 0.6 * _smooth(cloth.along[leg] / max(garment.leg, 0.5))
     if garment.cuff:
         near = _smooth(level / 0.06)
@@ -160,65 +160,54 @@ def _air(rest: RestCloth, garment: Garment) -> Float[ndarray, "n"]:
     air = np.zeros(len(points), np.float32)
     if not garment.sag:
         return air
-    decay = np.float32(0.12 + 0.8 * (1 - garment.sag))
-    taut = np.float32(3.0)
-    step = np.float32(0.025)
-    parts = []
-    if garment.top is None:
-        hanging = cloth.trunk & (cloth.armness < 0.3) & (cloth.height < 0.63)
-    else:
-        hanging = cloth.trunk & (cloth.height < garment.top)
-    radius = np.hypot(points[hanging, 0], points[hanging, 1] - rest.centre_y)
-    parts.append((hanging, points[hanging, 2], radius, decay if garment.top is None else taut))
+    decay = 0.12 + 0.8 * (1 - garment.sag)
+
+    def fall(part: slice, height: Float[ndarray, "m"], radius: Float[ndarray, "m"], decay: float) -> None:
+        radius = radius.astype(np.float32)
+        air[part] = hang(height, cloth.azimuth[part], radius, np.float32(0.025), np.float32(decay), 24)
+
+    # Shoulders and arms carry a top; a waistband lies taut.
+    top = _CARRIED_M if garment.top is None else garment.top
+    low = slice(0, int(np.searchsorted(cloth.height[cloth.trunk], top)))
+    free = np.clip((0.3 - cloth.armness[low]) / 0.25, 0, 1)
+    radius = np.hypot(points[low, 0], points[low, 1] - rest.centre_y)
+    fall(low, points[low, 2], radius * (free > 0), decay if garment.top is None else 3.0)
+    air[low] *= free * _smooth((_CARRIED_M - cloth.height[low]) / 0.12)
     if garment.leg:
-        for side in (cloth.left, ~cloth.left):
-            mask = cloth.leg & side
-            along = cloth.along[mask]
-            # Away from a straight line down the leg.
-            ends = [points[mask][np.abs(along - at) < 0.12].mean(0) for at in (0.5, 1.0, 1.9)]
-            bone = np.stack([np.interp(along, (0.5, 1.0, 1.9), [end[k] for end in ends]) for k in (0, 1)], 1)
-            parts.append((mask, -along * np.float32(_LEG_M), np.linalg.norm(points[mask, :2] - bone, axis=1), decay))
-    for mask, height, radius, shrink in parts:
-        air[mask] = hang(height, cloth.azimuth[mask], radius.astype(np.float32), step, shrink, 24)
-    # Shoulders and arms carry it.
-    carried = _smooth((0.63 - cloth.height) / 0.12) * _smooth((0.3 - cloth.armness) / 0.25)
-    air = np.where(cloth.trunk, air * carried, air)
-    return np.minimum(air * (0.3 + 0.7 * garment.sag), MOST_AIR_M).astype(np.float32)
-
-
-def _noise(
-    points: Float[ndarray, "n 3"], wavelengths: tuple[float, float], waves: int, rng: np.random.Generator
-) -> Float[ndarray, "n"]:
-    """Smooth noise of deviation about 0.7: plane waves of random directions and lengths (metres)."""
-    directions = rng.normal(size=(3, waves))
-    directions *= 2 * np.pi / rng.uniform(*wavelengths, waves) / np.linalg.norm(directions, axis=0)
-    phases = points @ directions.astype(np.float32) + rng.uniform(0, 2 * np.pi, waves).astype(np.float32)
-    return np.sin(phases).sum(1) / np.float32(np.sqrt(waves))
+        for part, side in ((cloth.left_leg, "L"), (cloth.right_leg, "R")):
+            # Away from a broken line down the leg.
+            (thigh, knee), (_, ankle) = (cloth.sections[side, bone] for bone in (0, 1))
+            at = (SECTIONS[0][0], SECTIONS[0][1], SECTIONS[1][1])
+            line = [points[ids, :2].mean(0) for ids in (thigh, knee, ankle)]
+            along = cloth.along[part]
+            radius = np.hypot(*(points[part, k] - np.interp(along, at, [p[k] for p in line]) for k in (0, 1)))
+            fall(part, along * np.float32(-LEG_M), radius, decay)
+    return np.minimum(air * np.float32(0.3 + 0.7 * garment.sag), np.float32(MOST_AIR_M))
 
 
 def _folds(
-    rest: RestCloth, garment: Garment, level: Float[ndarray, "n"], rng: np.random.Generator
+    cloth: ClothMap, garment: Garment, level: Float[ndarray, "n"], rng: np.random.Generator
 ) -> Float[ndarray, "n"]:
     """Signed height of folds (metres): slanting rings along limbs and trunk, and drapes that widen to the hem."""
-    cloth = rest.cloth
-    wander = _noise(rest.points, (0.12, 0.35), 4, rng)
-    metres = np.where(cloth.arm, cloth.along * _ARM_M, np.where(cloth.leg, cloth.along * _LEG_M, cloth.height))
-    rings = np.zeros(len(level), np.float32)
-    for _ in range(2):
-        wavelength = np.where(cloth.trunk, rng.uniform(0.08, 0.17), rng.uniform(0.06, 0.12))
-        slant = np.where(cloth.left, 1, -1) * rng.choice((-2, -1, 1, 2))
-        phase = 2 * np.pi * metres / wavelength + slant * cloth.azimuth + 2.5 * wander + rng.uniform(0, 2 * np.pi)
-        # Ridges are narrower than the valleys between them, and here and there cloth lies smooth.
-        patches = _smooth(0.3 + 0.8 * _noise(rest.points, (0.15, 0.4), 3, rng))
-        rings += patches * (1 - 1.6 * np.abs(np.sin(phase / 2))).astype(np.float32)
+    wander, *patches = rng.choice(len(cloth.coarse), 3, replace=False)
+    waves = [
+        (2 * np.pi / rng.uniform(0.06, 0.12), 2 * np.pi / rng.uniform(0.08, 0.17), turns, rng.uniform(0, 2 * np.pi))
+        for turns in rng.choice((-2, -1, 1, 2), 2)
+    ]
+    folds = np.zeros(len(level), np.float32)
+    rings(
+        level, cloth.metres, cloth.azimuth, cloth.slant, np.float32(2.5) * cloth.coarse[wander],
+        cloth.coarse[patches], cloth.trunk.stop, np.array(waves, np.float32), folds,
+    )  # fmt: skip
     # A skirt's folds are those of what hangs.
-    folds = rings * (min(garment.folds_m, 0.006) if garment.skirt_m else garment.folds_m)
+    folds *= min(garment.folds_m, 0.006) if garment.skirt_m else garment.folds_m
     if garment.top is None:
-        drapes = np.cos(rng.integers(4, 10) * cloth.azimuth + rng.uniform(0, 2 * np.pi) + wander)
-        folds += np.where(cloth.trunk, 0.4 * garment.slack_m * drapes * _smooth(1 - level / 0.35), 0)
+        trunk = cloth.trunk
+        phase = rng.integers(4, 10) * cloth.azimuth[trunk] + cloth.coarse[wander, trunk] + rng.uniform(0, 2 * np.pi)
+        folds[trunk] += 0.4 * garment.slack_m * np.cos(phase) * _smooth(1 - level[trunk] / 0.35)
     if garment.leg > 1.5:  # cloth gathers over the foot
-        folds *= 1 + 1.2 * cloth.leg * _smooth((cloth.along - 1.5) / 0.4)
-    return folds.astype(np.float32)
+        folds[cloth.leg] *= 1 + 1.2 * _smooth((cloth.along[cloth.leg] - 1.5) / 0.4)
+    return folds
 
 
 def _cut(
@@ -230,23 +219,15 @@ def _cut(
 ) -> Shell:
     """The shell where ``level`` is above 0, its vertices outside drawn to the edge, without faces that are hidden.
     Fields are (thickness, slack, fold)."""
-    kept = (level > 0)[cloth.faces].any(1)
-    if hidden is not None:
-        kept &= ~hidden[cloth.faces].all(1)
-    used = np.zeros(len(level), bool)
-    used[cloth.faces[kept]] = True
-    vertices = np.flatnonzero(used).astype(np.int32)
-    number = (np.cumsum(used) - 1).astype(np.int32)
-    partner, mix = np.empty_like(vertices), np.empty(len(vertices), np.float32)
-    snap(level, vertices, cloth.starts, cloth.neighbours, partner, mix)
+    if hidden is None:
+        hidden = np.zeros(len(level), bool)
+    vertices, faces, partner, mix = cut(level, hidden, cloth.faces, cloth.starts, cloth.neighbours)
     if anchors is not None:
         vertices = np.concatenate([vertices, anchors.first])
         partner = np.concatenate([partner, anchors.second])
         mix = np.concatenate([mix, anchors.share])
-    values = [((1 - mix) * field[vertices] + mix * field[partner]).astype(np.float32) for field in fields]
-    return Shell(
-        vertices, partner, mix, *values, faces=number[cloth.faces[kept]], anchors=len(anchors.first) if anchors else 0
-    )
+    values = [between(field, vertices, partner, mix) for field in fields]
+    return Shell(vertices, partner, mix, *values, faces, len(anchors.first) if anchors else 0)
 
 
 def garment_shell(
@@ -254,7 +235,7 @@ def garment_shell(
     garment: Garment,
     level: Float[ndarray, "n"],
     under: Float[ndarray, "n"],
-    over: Float[ndarray, "n"],
+    over: Float[ndarray, "n"] | None,
     rng: np.random.Generator,
 ) -> tuple[Shell, Float[ndarray, "n"]]:
     """The part of a garment that follows the body, and how far (metres) all that is worn now stands off the skin.
@@ -271,20 +252,24 @@ def garment_shell(
         thickness = thickness + _hood(cloth, garment, level)
     # Slack beneath is not added: the outer garment presses on it, or has room for it.
     air = np.maximum(air - 0.5 * under, 0)
-    folds = _folds(rest, garment, level, rng)
-    free = 1 - 0.8 * _smooth(over / 0.04 + 0.5)
-    air, folds = air * free, folds * free
+    folds = _folds(cloth, garment, level, rng)
+    hidden = None
+    if over is not None:
+        free = 1 - 0.8 * _smooth(over / 0.04 + 0.5)
+        air, folds, hidden = air * free, folds * free, over > 0.05
     anchors = cloth.skirt if garment.hangs_m else None
-    shell = _cut(cloth, level, (thickness, air, folds), anchors, over > 0.05)
+    shell = _cut(cloth, level, (thickness, air, folds), anchors, hidden)
     worn = np.where(level > 0, thickness + 0.4 * air, under).astype(np.float32)
     return shell, worn
 
 
 def _hood(cloth: ClothMap, garment: Garment, level: Float[ndarray, "n"]) -> Float[ndarray, "n"]:
     """A hood's or collar's bulge at the neckline: thickest behind."""
-    lump = np.exp(-(((level - 0.03) / 0.045) ** 2)) * (cloth.neck > garment.neck - 0.13)
-    behind = 0.55 + 0.45 * np.cos(cloth.azimuth)
-    return (garment.hood_m * lump * np.where(cloth.trunk, behind, 0)).astype(np.float32)
+    out = np.zeros_like(level)
+    trunk = cloth.trunk
+    lump = np.exp(-(((level[trunk] - 0.03) / 0.045) ** 2)) * (cloth.neck[trunk] > garment.neck - 0.13)
+    out[trunk] = garment.hood_m * lump * (0.55 + 0.45 * np.cos(cloth.azimuth[trunk]))
+    return out
 
 
 def hair_cap(rest: RestCloth, hair: Hair, rng: np.random.Generator) -> Shell:
@@ -292,25 +277,25 @@ def hair_cap(rest: RestCloth, hair: Hair, rng: np.random.Generator) -> Shell:
     cloth = rest.cloth
     # Where the forehead ends differs from head to head.
     forehead = rng.uniform(0.0, 0.09)
-    back = cloth.default[:, 1] - (cloth.default[cloth.head, 1].min() + forehead)
-    high = cloth.height - cloth.height[cloth.head].min()
-    level = np.where(cloth.head, np.minimum(cloth.scalp * 0.06 - 0.02, back + np.clip(high - 0.1, 0, 1)), _OFF)
-    level = level.astype(np.float32)
-    rim = 0.35 + 0.65 * _smooth(level / 0.03)
-    lumps = 1 + 0.25 * hair.lumps * _noise(rest.points, (0.05, 0.12), 6, rng)
+    head = cloth.head
+    back = cloth.default[head, 1] - (cloth.default[head, 1].min() + forehead)
+    high = cloth.height[head] - cloth.height[head].min()
+    level, thickness = np.full(len(cloth.vertices), _OFF, np.float32), np.zeros(len(cloth.vertices), np.float32)
+    level[head] = np.minimum(cloth.scalp[head] * 0.06 - 0.02, back + np.clip(high - 0.1, 0, 1))
+    rim = 0.35 + 0.65 * _smooth(level[head] / 0.03)
+    lumps = 1 + 0.25 * hair.lumps * cloth.fine[rng.integers(len(cloth.fine)), head]
     # Hair stands off the crown more than off the nape.
     crown = 0.6 + 0.4 * _smooth((high - 0.02) / 0.12)
-    thickness = (np.maximum(hair.volume_m * rim * lumps * crown, 0.003) * max(rest.scale, 0.8)).astype(np.float32)
+    thickness[head] = np.maximum(hair.volume_m * rim * lumps * crown, 0.003) * max(rest.scale, 0.8)
     none = np.zeros_like(thickness)
     return _cut(cloth, level, (thickness, none, none), cloth.hair if hair.style in ("bob", "long") else None)
 
 
-def boot_shell(
-    rest: RestCloth, shoes: Shoes, under: Float[ndarray, "n"]
-) -> tuple[Shell, Float[ndarray, "n"]]:
+def boot_shell(rest: RestCloth, shoes: Shoes, under: Float[ndarray, "n"]) -> tuple[Shell, Float[ndarray, "n"]]:
     """The shafts of boots, and how far all that is worn now stands off the skin."""
     cloth = rest.cloth
-    level = np.where(cloth.leg, (cloth.along - shoes.shaft) * _LEG_M, _OFF).astype(np.float32)
+    level = np.full(len(cloth.vertices), _OFF, np.float32)
+    level[cloth.leg] = (cloth.along[cloth.leg] - shoes.shaft) * LEG_M
     thickness = (shoes.upper_m + 0.004 + under).astype(np.float32)
     none = np.zeros_like(thickness)
     shell = _cut(cloth, level, (thickness, none, none), None)
