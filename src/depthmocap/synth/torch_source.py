@@ -154,7 +154,7 @@ def random_poses(
     distance = torch.maximum(uniform(*settings.distance_m), height.abs() * 1.1)
     ground = (distance**2 - height**2).sqrt()
     eye = centre + torch.stack([ground * azimuth.sin(), -ground * azimuth.cos(), height], 1)
-    past = torch.where(uniform(0, 1) < settings.truncate, settings.truncated_aim_m, settings.aim_m)
+    past = torch.where(uniform(0.0, 1.0) < settings.truncate, settings.truncated_aim_m, settings.aim_m)
     forward = torch.nn.functional.normalize(centre + normal(count, 3) * past[:, None] - eye, dim=1)
     up = torch.tensor([0.0, 0.0, 1.0], device=device, dtype=torch.float64).expand_as(forward)
     right = torch.nn.functional.normalize(torch.linalg.cross(forward, up), dim=1)
