@@ -105,7 +105,11 @@ def cast(rays_x, rays_y, windows, kinds, halves, frames, materials, depth, value
     x = np.empty(width)
     y = np.empty(width)
     for row in range(height):
-        for column in range(width):
+        left, right = width, -1
+        for k in range(kinds.shape[0]):
+            if row >= windows[k, 0] and row <= windows[k, 1]:
+                left, right = min(left, windows[k, 2]), max(right, windows[k, 3])
+        for column in range(left, right + 1):
             x[column] = rays_x[min(row, rays_x.shape[0] - 1), column]
             y[column] = rays_y[row, min(column, rays_y.shape[1] - 1)]
         for k in range(kinds.shape[0]):

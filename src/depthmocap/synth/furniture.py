@@ -229,7 +229,7 @@ def make_lamp(rng: np.random.Generator) -> Solids:
     return join(
         [
             cylinder((0.0, 0.0, 0.0), (0.0, 0.0, 0.03), rng.uniform(0.12, 0.18)),
-            capsule((0.0, 0.0, 0.0), (0.0, 0.0, height), 0.014),
+            capsule((0.0, 0.0, 0.03), (0.0, 0.0, height), 0.014),
             cylinder((0.0, 0.0, height - tall), (0.0, 0.0, height), radius),
         ]
     )

@@ -126,7 +126,7 @@ def random_scene(
         raise ValueError("second_person must be given: the settings ask for one")
     eyes = np.array([c.world_from_camera[:3, 3] for c in cameras], dtype=float).reshape(-1, 3)
     everything = _all_points(person)
-    floor_m = float(min(everything[:, 2].min(), *(eyes[:, 2] - 0.1)))
+    floor_m = float(min([everything[:, 2].min(), *(eyes[:, 2] - 0.1)]))
     place = Place(eyes, person.joints, settings.seen_by_one, settings.seen_by_each)
     place.occupy(everything)
 

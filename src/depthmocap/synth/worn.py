@@ -37,7 +37,7 @@ class _Trunk:
     def scale(self) -> float:
         return self.length / _TRUNK_M
 
-    def back(self, x: float, z: float, side: float, reach: tuple[float, float] = (0.05, 0.05)) -> float:
+    def back(self, x: float, z: float, side: int, reach: tuple[float, float] = (0.05, 0.05)) -> float:
         """How far back (``side`` 1) or, negative, forward (−1) the clothed trunk is around a place."""
 
         def around(points: Float[ndarray, "p 3"]) -> Float[ndarray, "q"]:
@@ -69,7 +69,7 @@ def _trunk(person: PosedPerson) -> _Trunk:
     return _Trunk(axes, origin, length, skin, (cloth - origin) @ axes)
 
 
-def _strap(trunk: _Trunk, x: float, ends: tuple[float, float], side: float, count: int = 4) -> list[tuple]:
+def _strap(trunk: _Trunk, x: float, ends: tuple[float, float], side: int, count: int = 4) -> list[tuple]:
     """Points over the chest (``side`` −1) or the back (1), from the shoulder at ``x`` to (across, height)."""
     points: list[tuple[float, float, float]] = [(x, 0.0, trunk.shoulder(x))]
     for share in np.linspace(0.25, 1, count):
@@ -83,8 +83,8 @@ def _backpack(rng: np.random.Generator, trunk: _Trunk) -> tuple[Solids, Solids]:
     """0.24–0.36 wide, 0.1–0.24 deep, 0.36–0.56 high, with two straps."""
     half = rng.uniform([0.12, 0.05, 0.18], [0.18, 0.12, 0.28]) * trunk.scale
     z = trunk.shoulder(0.1) - half[2] + rng.uniform(-0.05, 0.06) * trunk.scale
-    y = trunk.back(0, z, 1, (half[0], half[2])) + half[1] - 0.01
-    centre = trunk.to_world([(0, y, z)])[0]
+    y = trunk.back(0.0, z, 1, (half[0], half[2])) + half[1] - 0.01
+    centre = trunk.to_world([(0.0, y, z)])[0]
     parts = [box(centre, half, trunk.world_from_trunk, Material.OBJECT)]
     if rng.random() < 0.7:  # a pocket, or bulging contents
         outside = centre + trunk.world_from_trunk @ [0, half[1], -0.3 * half[2]]
@@ -105,7 +105,7 @@ def _shoulder_bag(rng: np.random.Generator, trunk: _Trunk) -> tuple[Solids, Soli
     z = rng.uniform(-0.05, 0.12) * trunk.scale
     level = trunk.skin[np.abs(trunk.skin[:, 2] - 0.1 * trunk.scale) < 0.08]
     x = float(np.abs(level[:, 0]).max() if len(level) else 0.17 * trunk.scale) + half[0]
-    centre = trunk.to_world([(side * x, 0, z)])[0]
+    centre = trunk.to_world([(side * x, 0.0, z)])[0]
     end = (side * (x - half[0]), z + half[2])
     paths = [_strap(trunk, -side * shoulder, end, way, 6) for way in (-1, 1)]
     radius = rng.uniform(0.01, 0.018)
@@ -118,7 +118,7 @@ def _instrument(rng: np.random.Generator, trunk: _Trunk) -> tuple[Solids, Solids
     large, deep = rng.uniform(0.17, 0.21) * trunk.scale, rng.uniform(0.04, 0.06) * trunk.scale
     side = 1.0 if rng.random() < 0.85 else -1.0  # left-handed players are few
     z = rng.uniform(0.15, 0.3) * trunk.length
-    y = trunk.back(0, z, -1, (0.6 * large, 0.6 * large)) - deep
+    y = trunk.back(0.0, z, -1, (0.6 * large, 0.6 * large)) - deep
     slope = rng.uniform(0.1, 0.7)
     along = np.array([side * np.cos(slope), 0, np.sin(slope)])
     turn = trunk.world_from_trunk @ axes_of(np.array([0, 1.0, 0]), along)
