@@ -1,30 +1,26 @@
-"""Windows, noise and training batches in torch, on CPU tensors, against the NumPy ones where there are any."""
+"""Windows and noise in torch, on CPU tensors, against the NumPy ones where there are any."""
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
-from depthmocap.body.model import Body, BodyModel
+from depthmocap.body.model import Body
 from depthmocap.classify import preprocess
 from depthmocap.classify.preprocess import make_window
-from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, look_at
 from depthmocap.synth.postures import PosturePrior
-from depthmocap.synth.render import Material, PosedPerson, render_person
+from depthmocap.synth.render import PosedPerson, render_person
 
 torch = pytest.importorskip("torch")
 
 from depthmocap.synth import torch_windows  # noqa: E402
-from depthmocap.synth.torch_bank import BodyBank, RestLayer  # noqa: E402
 from depthmocap.synth.torch_body import TorchModel  # noqa: E402
 from depthmocap.synth.torch_noise import TorchNoise, add_noise  # noqa: E402
 from depthmocap.synth.torch_render import TorchCameras, TorchLayers  # noqa: E402
-from depthmocap.synth.torch_source import TorchSynth, TorchSynthSettings, posture_pool, random_poses  # noqa: E402
 
 #: Distances at which the person is larger and smaller than a window.
 DISTANCES = (1.0, 1.6, 2.3, 3.0, 4.0)
@@ -235,142 +231,3 @@ def test_noise_across_and_steps() -> None:
     assert len(stepped.unique()) > 3
     assert torch.equal(sensed(depth, TorchNoise(), 5), sensed(depth, TorchNoise(), 5))
     assert not torch.equal(sensed(depth, TorchNoise(), 5), sensed(depth, TorchNoise(), 6))
-
-
-# Bank and source
-
-
-def shells(body: Body, kind: int) -> list[RestLayer]:
-    """What a body wears: nothing, a shell, or two; the second follows one bone alone."""
-    model = body.model
-    rest = (body.rest_vertices * 1.01).astype(np.float32)
-    shell = RestLayer(rest, model.faces[::2], Material.CLOTH, model.skin_indices, model.skin_weights)
-    head = model.bone_names.index("head")
-    hat = RestLayer(rest[:300] + np.float32(0.1), np.arange(300).reshape(-1, 3), Material.HAIR,
-                    np.full((300, 1), head), np.ones((300, 1), np.float32))  # fmt: skip
-    return [[], [shell], [shell, hat]][kind]
-
-
-@pytest.fixture(scope="module")
-def bank(default_body: Body) -> BodyBank:
-    bodies = [
-        default_body,
-        default_body.with_vertices(default_body.rest_vertices + np.float32(0.01)),
-        default_body.with_vertices(default_body.rest_vertices * np.float32(0.97)),
-    ]
-    return BodyBank.of(bodies, [shells(body, i) for i, body in enumerate(bodies)])
-
-
-def test_bank_poses_what_bodies_wear(bank: BodyBank, default_body: Body, body_model: BodyModel) -> None:
-    rng = np.random.default_rng(4)
-    chosen = [2, 0, 1, 2]
-    postures = np.stack([PosturePrior.load().sample(rng)[0] for _ in chosen])
-    vertices, layers = bank.pose(torch.tensor(chosen), torch.from_numpy(postures))
-    assert layers is not None
-    for i, (which, posture) in enumerate(zip(chosen, postures, strict=True)):
-        body = default_body.with_vertices(bank.rest_vertices[which].numpy())
-        transforms = default_body.bone_transforms(posture)
-        np.testing.assert_allclose(vertices[i].numpy(), body.pose(posture).vertices, atol=5e-6)
-        own = layers.vertices[layers.picture_of_vertex == i].numpy()
-        worn = shells(body, which)
-        expected = [
-            transforms.skin(layer.vertices, layer.skin_indices.astype(np.int32), layer.skin_weights) for layer in worn
-        ]
-        np.testing.assert_allclose(own, np.concatenate([np.zeros((0, 3)), *expected]), atol=1e-5)
-        # Faces, too: corners of every triangle in its order.
-        corners = layers.vertices[layers.faces[layers.picture_of_face == i]].numpy()
-        meshes = [points[layer.faces] for points, layer in zip(expected, worn, strict=True)]
-        np.testing.assert_allclose(corners, np.concatenate([np.zeros((0, 3, 3)), *meshes]), atol=1e-5)
-        materials = [np.full(len(layer.faces), layer.material) for layer in worn]
-        np.testing.assert_array_equal(
-            layers.materials[layers.picture_of_face == i].numpy(), np.concatenate([np.zeros(0), *materials])
-        )
-
-
-SETTINGS = TorchSynthSettings(batch=8)
-
-
-@pytest.fixture(scope="module")
-def pool() -> np.ndarray:
-    return posture_pool(PosturePrior.load(), 20, np.random.default_rng(1))
-
-
-def source(bank: BodyBank, pool: np.ndarray, settings: TorchSynthSettings = SETTINGS, seed: int = 0) -> TorchSynth:
-    sensors = [DepthCamera("fine", 512, 424, 366.0, 366.0, 256.0, 212.0),
-               DepthCamera("coarse", 320, 240, 285.0, 285.0, 160.0, 120.0)]  # fmt: skip
-    return TorchSynth(bank, pool, sensors, settings, seed)
-
-
-def test_batches(bank: BodyBank, pool: np.ndarray) -> None:
-    made = source(bank, pool)
-    (x, y), (x1, _) = itertools.islice(made.batches(first=3), 2)
-    assert (x.shape, y.shape) == ((8, 3, 192, 192), (8, 192, 192))
-    assert (x.dtype, y.dtype) == (torch.float32, torch.uint8)
-    assert x.isfinite().all()
-    mask = x[:, 1] > 0
-    assert (mask.flatten(1).sum(1) > 500).sum() >= 6
-    assert ((y >= 1) & (y <= 43) | (y == 255)).all()
-    assert ((y[mask] != 255).float().mean()) > 0.6
-    assert len(y.unique()) > 30
-    # A batch is of its number and the seed alone.
-    again, again_labels = source(bank, pool).batch(3)
-    assert torch.equal(x, again)
-    assert torch.equal(y, again_labels)
-    assert not torch.equal(x, x1)
-    assert not torch.equal(x, source(bank, pool, seed=1).batch(3)[0])
-
-
-def test_size_without_noise(bank: BodyBank, pool: np.ndarray) -> None:
-    plain = TorchSynthSettings(batch=6, window=250, person=190, truncate=0.0, occlude=0.0, noise=None)
-    x, y = source(bank, pool, plain).batch(0)
-    assert x.shape == (6, 3, 250, 250)
-    mask = x[:, 1] > 0
-    extent = torch.stack([mask.any(1).sum(1), mask.any(2).sum(1)]).amax(0)
-    assert ((extent >= 186) & (extent <= 191)).all()
-    occluded, _ = source(bank, pool, dataclasses.replace(plain, occlude=1.0)).batch(0)
-    # A part of most people is gone.
-    assert ((occluded[:, 1] != x[:, 1]).flatten(1).sum(1) > 50).sum() >= 3
-    assert y.max() == 255
-
-
-def test_windows_of_nobody_teach_nothing(bank: BodyBank, pool: np.ndarray) -> None:
-    lost = TorchSynthSettings(batch=8, truncate=1.0, truncated_aim_m=50.0)
-    x, y = source(bank, pool, lost).batch(0)
-    empty = ~(x[:, 1] > 0).flatten(1).any(1)
-    assert empty.sum() >= 4
-    assert not x[empty].any()
-    assert (y[empty] == 255).all()
-
-
-def test_cameras_look_at_people(people: list[PosedPerson]) -> None:
-    vertices = torch.from_numpy(np.stack([person.vertices for person in people] * 40))
-    settings = TorchSynthSettings(truncate=0.0)
-    pose = random_poses(vertices, settings, torch.Generator().manual_seed(0)).numpy()
-    rotation, translation = pose[:, :, :3], pose[:, :, 3]
-    np.testing.assert_allclose(rotation @ rotation.swapaxes(1, 2), np.tile(np.eye(3), (200, 1, 1)), atol=1e-9)
-    np.testing.assert_allclose(np.linalg.det(rotation), 1, atol=1e-9)
-    low, high = vertices.amin(1).numpy(), vertices.amax(1).numpy()
-    centre = (rotation @ ((low + high) / 2)[:, :, None])[:, :, 0] + translation
-    assert ((centre[:, 2] > 1.1) & (centre[:, 2] < 4.6)).all()
-    assert np.abs(centre[:, :2] / centre[:, 2:]).max() < 0.4
-    assert (rotation[:, 1, 2] < -0.3).all()  # the picture's y points down
-    eye = -(rotation.swapaxes(1, 2) @ translation[:, :, None])[:, :, 0]
-    height = eye[:, 2] - low[:, 2]
-    assert ((height > 0.2 - 1e-6) & (height < 2.8 + 1e-6)).all()
-    side = np.arctan2(eye[:, 0], -eye[:, 1])
-    assert np.histogram(side, 4, (-np.pi, np.pi))[0].min() > 30
-
-
-def test_bad_settings(bank: BodyBank, pool: np.ndarray, default_body: Body) -> None:
-    with pytest.raises(InputError, match="distance_m"):
-        TorchSynthSettings(distance_m=(4.0, 1.0))
-    with pytest.raises(InputError, match="person"):
-        TorchSynthSettings(window=100, person=120)
-    with pytest.raises(InputError, match="batch"):
-        TorchSynthSettings(batch=0)
-    with pytest.raises(InputError, match="cameras"):
-        TorchSynth(bank, pool, [])
-    with pytest.raises(InputError, match="at least one body"):
-        BodyBank.of([])
-    with pytest.raises(InputError, match="one list of layers"):
-        BodyBank.of([default_body], [])

@@ -1,7 +1,8 @@
 """Training windows made on a GPU (extra: train), so that the network there need not wait for a CPU.
 
-bank = BodyBank.of([model.shape(random_phenotype(rng)) for _ in range(500)], device="cuda")
-source = TorchSynth(bank, posture_pool(postures, 100_000, rng), cameras)
+dressed = [random_dressed(rng, "open") for _ in range(1000)]
+bank = BodyBank.of([one.body for one in dressed], [rest_layers(one) for one in dressed], device="cuda")
+source = TorchSynth(BodiesInPostures.of(bank, postures, 100_000, rng), cameras)
 for inputs, labels in source.batches(): ...
 """
 
@@ -14,15 +15,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, UInt8
-from numpy import ndarray
 from torch import Tensor
 
 from depthmocap.body.regions import UNLABELLED
 from depthmocap.classify.preprocess import PERSON, WINDOW
 from depthmocap.errors import InputError
 from depthmocap.geometry.cameras import DepthCamera
-from depthmocap.synth.postures import PostureSource
-from depthmocap.synth.torch_bank import BodyBank
+from depthmocap.synth.torch_bank import PeopleSource
 from depthmocap.synth.torch_noise import TorchNoise, add_noise
 from depthmocap.synth.torch_render import TorchCameras
 from depthmocap.synth.torch_windows import view_windows
@@ -66,11 +65,6 @@ class TorchSynthSettings:
                 raise InputError(f"{name}: the minimum {low} is above the maximum {high}")
 
 
-def posture_pool(source: PostureSource, count: int, rng: np.random.Generator) -> Float[ndarray, "n 20 3"]:
-    """Postures of a source (float32, 240 bytes each) for :class:`TorchSynth`, with the source's own variation."""
-    return np.stack([source.sample(rng)[0] for _ in range(count)]).astype(np.float32)
-
-
 class TorchSynth:
     """Batches of training windows, each of the seed and its number alone (on one kind of device).
 
@@ -79,26 +73,24 @@ class TorchSynth:
     labels are then all 255, so that it counts for nothing.
 
     Args:
-        postures: which postures are drawn from.
+        people: who is drawn from.
         cameras: whose sizes and intrinsics are drawn from; their places are not used.
 
     Raises:
-        InputError: when there are no postures or no cameras.
+        InputError: when there are no cameras.
     """
 
     def __init__(
         self,
-        bank: BodyBank,
-        postures: Float[ndarray, "n 20 3"],
+        people: PeopleSource,
         cameras: Sequence[DepthCamera],
         settings: TorchSynthSettings = TorchSynthSettings(),
         seed: int = 0,
     ) -> None:
-        if not len(postures) or not cameras:
-            raise InputError(f"TorchSynth needs postures and cameras, got {len(postures)} and {len(cameras)}")
-        self.bank, self.settings, self.seed = bank, settings, seed
-        self.device = bank.rest_vertices.device
-        self._postures = torch.from_numpy(postures.astype(np.float32)).to(self.device)
+        if not cameras:
+            raise InputError("TorchSynth needs at least one camera to draw intrinsics from")
+        self.people, self.settings, self.seed = people, settings, seed
+        self.device = people.model.faces.device
         self._intrinsics = TorchCameras.of(cameras, self.device).intrinsics
         self._sizes = torch.tensor([[camera.width, camera.height] for camera in cameras], device=self.device)
 
@@ -114,15 +106,11 @@ class TorchSynth:
         settings, count, device = self.settings, self.settings.batch, self.device
         seed = int(np.random.SeedSequence([self.seed, number]).generate_state(1, np.uint64)[0] >> np.uint64(1))
         generator = torch.Generator(device).manual_seed(seed)
-
-        def one_of(number: int) -> Tensor:
-            return torch.randint(number, (count,), device=device, generator=generator)
-
-        bodies, postures, sensor = one_of(len(self.bank)), one_of(len(self._postures)), one_of(len(self._sizes))
-        vertices, layers = self.bank.pose(bodies, self._postures[postures])
+        vertices, layers = self.people.draw(count, generator)
+        sensor = torch.randint(len(self._sizes), (count,), device=device, generator=generator)
         pose = random_poses(vertices, settings, generator)
         cameras = TorchCameras(self._intrinsics[sensor], pose)
-        model, sizes = self.bank.model, self._sizes[sensor]
+        model, sizes = self.people.model, self._sizes[sensor]
         view = view_windows(
             vertices, model.faces, model.face_regions, cameras, sizes, layers, settings.window, settings.person
         )
