@@ -246,9 +246,9 @@ def test_missing_and_binary_files(tmp_path: Path, default_body: Body) -> None:
 
 
 def test_unknown_joint_names(tmp_path: Path, default_body: Body) -> None:
-    joints = [dataclasses.replace(joint, name=f"bone_{joint.name}") for joint in skeleton("cmu", "T")]
+    joints = [dataclasses.replace(joint, name=f"bone{i}") for i, joint in enumerate(skeleton("cmu", "T"))]
     write(tmp_path / "clip.bvh", joints, [{}])
-    with pytest.raises(InputError, match=r"bone_Hips.*fit no known naming scheme \(cmu, daz, motionbuilder\)"):
+    with pytest.raises(InputError, match=r"clip\.bvh: joints.*bone0.*fit no known naming scheme.*cmu.*--mapping"):
         read_bvh(tmp_path / "clip.bvh", heads(default_body))
 
 
@@ -268,7 +268,7 @@ def test_clips_of_a_folder(tmp_path: Path, default_body: Body) -> None:
 
 def test_folder_errors(tmp_path: Path, default_body: Body) -> None:
     for folder in (tmp_path, tmp_path / "none"):
-        with pytest.raises(InputError, match=r"no \.bvh files"):
+        with pytest.raises(InputError, match=r"no \.bvh or \.amc files"):
             list(read_clips(folder, heads(default_body)))
     write(tmp_path / "a.bvh", skeleton("daz", "T"), [{}])
     (tmp_path / "manifest.csv").write_text("clip,words\na.bvh,walk\n")

@@ -1,70 +1,75 @@
-"""Motion capture files as postures: BVH (through bvhio; extra: train), retargeted by world rotations."""
+"""Motion capture clips as postures: the files of a folder, flips and impossible frames left out."""
 
 from __future__ import annotations
 
 import csv
 import dataclasses
+import re
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
-from depthmocap.body.posture import POSTURE_BONES, POSTURE_INDEX, heading, local_rotations, turn_posture
-from depthmocap.errors import InputError, missing_extra
-from depthmocap.geometry.transforms import rotation_between, z_up_from
+from depthmocap.body.posture import heading, turn_posture
+from depthmocap.errors import InputError
+from depthmocap.synth.clips.amc import AMC_FPS, AsfSkeleton, read_amc_motion, read_asf
+from depthmocap.synth.clips.bvh import read_bvh_motion
+from depthmocap.synth.clips.motion import Motion
+from depthmocap.synth.clips.retarget import retarget
+from depthmocap.synth.clips.skeletons import Joints, map_skeleton
+from depthmocap.synth.limits import within_limits
 
 SPLITS = ("train", "valid", "test")
-
-_LIMB_BONES = ("clavicle", "upper_arm", "forearm", "hand", "thigh", "shin", "foot")
-_TRUNK_BONES = ("pelvis", "spine_low", "spine_mid", "spine_up", "neck", "head")
-
-
-def _scheme(trunk: str, right: str, left: str, limbs: str) -> dict[str, str]:
-    """BVH joint of each posture bone: names of the trunk, prefixes of the two sides, names of the limbs."""
-    table: dict[str, str] = dict(zip(_TRUNK_BONES, trunk.split(), strict=True))
-    for side, prefix in (("R", right), ("L", left)):
-        for bone, joint in zip(_LIMB_BONES, limbs.split(), strict=True):
-            table[f"{bone}.{side}"] = prefix + joint
-    return table
-
-
-#: By naming scheme; one fits when a file has all of its joints.
-_SCHEMES: dict[str, dict[str, str]] = {
-    "cmu": _scheme(
-        "Hips LowerBack Spine Spine1 Neck1 Head", "Right", "Left", "Shoulder Arm ForeArm Hand UpLeg Leg Foot"
-    ),
-    "daz": _scheme("hip abdomen abdomen chest neck head", "r", "l", "Collar Shldr ForeArm Hand Thigh Shin Foot"),
-    "motionbuilder": _scheme(
-        "Hips lowerback Chest Chest2 Neck Head", "Right", "Left", "Collar Shoulder Elbow Wrist Hip Knee Ankle"
-    ),
-}
-
-#: Bones whose direction at rest differs between skeletons (T-pose, arms down): from their own head to this bone's.
-_AIMS: dict[str, tuple[str, str]] = {
-    "upper_arm": ("upperarm01", "lowerarm01"),
-    "forearm": ("lowerarm01", "wrist"),
-    "hand": ("wrist", "finger3-1"),
-    "thigh": ("upperleg01", "lowerleg01"),
-    "shin": ("lowerleg01", "foot"),
-    "foot": ("foot", "toe3-1"),
-}
 #: A bone that turns faster than this between two frames at 30 frames a second has flipped.
 _FLIP_RAD_PER_S = np.deg2rad(55) * 30
+#: Easy postures are of clips described so, as in the paper.
+_SIMPLE = re.compile(r"\b(walk|run|jog)(s|ing|ning|ging)?\b", re.IGNORECASE)
+_SUFFIXES = (".bvh", ".amc")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Clip:
-    """Postures of one motion capture clip, heading kept. ``simple`` marks what is described as walk or run."""
+    """Postures of one motion capture clip, heading kept. ``simple`` marks what is described as walk or run.
+
+    Attributes:
+        frames: about 30 a second, before flips and impossible frames were left out.
+        flipped, impossible: how many were.
+        skeleton: which joint is which of our bones, and how that was found.
+    """
 
     name: str
     postures: Float[ndarray, "n 20 3"]
     simple: bool
     split: str
+    frames: int = 0
+    flipped: int = 0
+    impossible: int = 0
+    skeleton: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class SkippedClip:
+    """A file that gave no postures, and why, in one line."""
+
+    name: str
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
+class ClipReading:
+    """How the files of a folder are read.
+
+    Attributes:
+        joints: joint of a posture bone, for files whose names fit no scheme.
+        skeletons: ASF file by the part of an AMC file's name before the underscore, where it is not of that name.
+    """
+
+    joints: Joints = dataclasses.field(default_factory=dict)
+    skeletons: dict[str, str] = dataclasses.field(default_factory=dict)
 
 
 def split_of(clip: str) -> str:
@@ -73,92 +78,43 @@ def split_of(clip: str) -> str:
     return "test" if bucket == 0 else "valid" if bucket == 1 else "train"
 
 
-def _flatten(joint: Any, parent: int, out: list[tuple[Any, int]]) -> None:
-    out.append((joint, parent))
-    index = len(out) - 1
-    for child in joint.Children:
-        _flatten(child, index, out)
-
-
-def read_bvh(path: Path, anny_rest: dict[str, Float[ndarray, "3"]]) -> tuple[Float[ndarray, "n 20 3"], float]:
+def read_bvh(
+    path: Path, anny_rest: dict[str, Float[ndarray, "3"]], joints: Joints | None = None
+) -> tuple[Float[ndarray, "n 20 3"], float]:
     """Postures of a BVH file and its frame time in seconds.
 
-    The retargeting takes each bone's world rotation as it is and turns the rest direction of our bone into that of
-    the file's, so that limbs point the same way whatever the two rest poses are.
-
     Args:
-        path: the file; Y up, facing +Z at rest, as all the common conversions are.
+        path: the file.
         anny_rest: head of every bone of the body at rest (Z up), which gives our rest directions.
+        joints: the file's joint of posture bones, where names do not tell.
 
     Raises:
-        InputError: a file that cannot be parsed, or whose joints fit no known naming scheme.
+        InputError: a file that cannot be parsed, whose joints fit no naming scheme, or that lacks the length of a limb.
     """
+    motion = read_bvh_motion(path)
+    return _postures(path, motion, anny_rest, joints)[0], motion.frame_time_s
+
+
+def read_amc(
+    path: Path,
+    asf: Path,
+    anny_rest: dict[str, Float[ndarray, "3"]],
+    fps: float = AMC_FPS,
+    joints: Joints | None = None,
+) -> tuple[Float[ndarray, "n 20 3"], float]:
+    """Postures of an AMC file on the skeleton of an ASF file, as :func:`read_bvh`."""
+    motion = read_amc_motion(path, read_asf(asf), fps)
+    return _postures(path, motion, anny_rest, joints)[0], motion.frame_time_s
+
+
+def _postures(
+    path: Path, motion: Motion, anny_rest: dict[str, Float[ndarray, "3"]], joints: Joints | None
+) -> tuple[Float[ndarray, "n 20 3"], str]:
     try:
-        import bvhio
-    except ImportError:
-        raise missing_extra("bvhio", "train") from None
-    try:
-        _require_all_frames(path)
-        document = bvhio.readAsBvh(str(path))
-    except Exception as error:  # the parser raises bare and various errors on malformed text
-        raise InputError(f"{path} is not a readable BVH file: {error}") from None
-    joints: list[tuple[Any, int]] = []
-    _flatten(document.Root, -1, joints)
-    names = [joint.Name for joint, _ in joints]
-    scheme = next((table for table in _SCHEMES.values() if set(table.values()) <= set(names)), None)
-    if scheme is None:
-        raise InputError(f"{path}: joints {names[:6]}… fit no known naming scheme ({', '.join(_SCHEMES)})")
-    z_up = z_up_from("y")
-    quaternions = np.array([[tuple(key.Rotation) for key in joint.Keyframes] for joint, _ in joints])  # w x y z
-    if not np.isfinite(quaternions).all():
-        raise InputError(f"{path} is not a readable BVH file: a rotation is not a finite number")
-    world = _quaternion_matrices(quaternions)
-    for i, (_, parent) in enumerate(joints):
-        if parent >= 0:
-            world[i] = world[parent] @ world[i]
-    world = z_up @ world @ z_up.T
-    result = np.empty((document.FrameCount, len(POSTURE_BONES), 3, 3))
-    for bone, joint in scheme.items():
-        index = names.index(joint)
-        align = np.eye(3)
-        kind, _, side = bone.partition(".")
-        if kind in _AIMS:
-            head, tail = (anny_rest[f"{name}.{side}"] for name in _AIMS[kind])
-            direction = z_up @ _rest_direction(joints[index][0])
-            if np.linalg.norm(direction) > 1e-6:  # some files end a foot without an offset
-                align = rotation_between(tail - head, direction)
-        result[:, POSTURE_INDEX[bone]] = world[index] @ align
-    return local_rotations(result).astype(np.float32), float(document.FrameTime)
-
-
-def _require_all_frames(path: Path) -> None:
-    """Raise ValueError unless the motion section is whole: at the end of a cut file the parser would wait for ever."""
-    lines = [line for raw in path.read_text().splitlines() if (line := raw.strip())]
-    if "MOTION" not in lines:
-        raise ValueError("it has no MOTION section")
-    header = lines.index("MOTION") + 1
-    words = " ".join(lines[header : header + 2]).split()  # Frames: n Frame Time: s
-    if len(words) != 5 or int(words[1]) < 1 or not 0 < float(words[4]) < np.inf:
-        raise ValueError("after MOTION must follow Frames: and Frame Time:, both with a number above 0")
-    if len(lines) < header + 2 + int(words[1]):
-        raise ValueError(f"it has {len(lines) - header - 2} of its {words[1]} frames")
-
-
-def _rest_direction(joint: Any) -> Float[ndarray, "3"]:
-    """Direction to the nearest descendant that is not at the joint itself (the middle finger for a hand)."""
-    children = sorted(joint.Children, key=lambda child: "Mid" not in child.Name)
-    for child in children:
-        offset = np.array(tuple(child.Offset), dtype=float)
-        if np.linalg.norm(offset) > 1e-6:
-            return offset
-    for child in children:
-        if "umb" not in child.Name:
-            return _rest_direction(child)
-    return np.array(tuple(joint.EndSite), dtype=float)
-
-
-def _quaternion_matrices(q: Float[ndarray, "j n 4"]) -> Float[ndarray, "j n 3 3"]:
-    return Rotation.from_quat(q[..., [1, 2, 3, 0]].reshape(-1, 4)).as_matrix().reshape(*q.shape[:-1], 3, 3)
+        skeleton = map_skeleton(motion, joints)
+        return retarget(motion, skeleton, anny_rest), skeleton.describe(motion)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def _unflipped(postures: Float[ndarray, "n 20 3"], frame_time: float) -> Bool[ndarray, "n"]:
@@ -174,32 +130,119 @@ def _unflipped(postures: Float[ndarray, "n 20 3"], frame_time: float) -> Bool[nd
     return keep
 
 
-def read_clips(directory: Path, anny_rest: dict[str, Float[ndarray, "3"]]) -> Iterator[Clip]:
-    """Every BVH file of a directory, about 30 postures a second, flips left out.
+@dataclasses.dataclass(frozen=True)
+class ClipFolder:
+    """The clips of a folder, to be read one by one.
 
-    ``manifest.csv`` (columns file, description), where there is one, tells which clips are walking or running.
+    ``manifest.csv`` (columns file, description and, if wanted, fps), where there is one, tells which clips are walking
+    or running, and the rate of AMC files, which do not tell it themselves (120 otherwise).
+    """
+
+    directory: Path
+    files: Sequence[Path]
+    descriptions: dict[str, str]
+    fps: dict[str, float]
+    reading: ClipReading
+
+    @classmethod
+    def open(cls, directory: Path, reading: ClipReading | None = None) -> ClipFolder:
+        """The folder's list of clips, by name.
+
+        Raises:
+            InputError: no directory, no clip in it, or a manifest without these columns.
+        """
+        files = sorted(path for suffix in _SUFFIXES for path in directory.glob(f"*{suffix}"))
+        if not files:
+            raise InputError(f"{directory}: no .bvh or .amc files; give a folder of motion capture clips")
+        descriptions: dict[str, str] = {}
+        fps: dict[str, float] = {}
+        manifest = directory / "manifest.csv"
+        if manifest.exists():
+            with manifest.open(newline="", encoding="utf-8") as handle:
+                rows = csv.DictReader(handle)
+                if not {"file", "description"} <= set(rows.fieldnames or ()):
+                    raise InputError(f"{manifest} must have the columns file and description, has {rows.fieldnames}")
+                for row in rows:
+                    descriptions[row["file"]] = row["description"] or ""
+                    if row.get("fps"):
+                        fps[row["file"]] = _rate(row["fps"], manifest)
+        return cls(directory, files, descriptions, fps, reading or ClipReading())
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def read(self, anny_rest: dict[str, Float[ndarray, "3"]]) -> Iterator[Clip | SkippedClip]:
+        """Every clip at about 30 postures a second, or why there is none. Bounded memory: one clip at a time."""
+        skeletons: dict[Path, AsfSkeleton] = {}
+        names: set[str] = set()
+        for path in self.files:
+            if path.stem in names:
+                yield SkippedClip(path.name, "a clip of this name was read from a .bvh file")
+                continue
+            try:
+                motion = self._motion(path, skeletons)
+                postures, skeleton = _postures(path, motion, anny_rest, self.reading.joints)
+            except InputError as error:
+                yield SkippedClip(path.name, str(error).removeprefix(f"{path} ").removeprefix(f"{path}: "))
+                continue
+            names.add(path.stem)
+            steady = _unflipped(postures, motion.frame_time_s)
+            possible = within_limits(postures)
+            yield Clip(
+                path.stem,
+                postures[steady & possible],
+                _SIMPLE.search(self.descriptions.get(path.name, "")) is not None,
+                split_of(path.stem),
+                len(postures),
+                int((~steady).sum()),
+                int((steady & ~possible).sum()),
+                skeleton,
+            )
+
+    def _motion(self, path: Path, skeletons: dict[Path, AsfSkeleton]) -> Motion:
+        if path.suffix == ".bvh":
+            return read_bvh_motion(path, every_frame=False)
+        subject = path.stem.partition("_")[0]
+        asf = self.directory / self.reading.skeletons.get(subject, f"{subject}.asf")
+        if not asf.exists():
+            raise InputError(f"{path} has no skeleton: {asf.name} is missing")
+        if asf not in skeletons:
+            skeletons[asf] = read_asf(asf)
+        return read_amc_motion(path, skeletons[asf], self.fps.get(path.name, AMC_FPS), every_frame=False)
+
+
+def _rate(text: str, manifest: Path) -> float:
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = 0.0
+    if not 0 < rate < np.inf:
+        raise InputError(f"{manifest}: fps must be a number above 0, got {text!r}")
+    return rate
+
+
+def read_clips(directory: Path, anny_rest: dict[str, Float[ndarray, "3"]]) -> Iterator[Clip]:
+    """Every readable clip of a directory (see :class:`ClipFolder`).
 
     Raises:
-        InputError: no directory, no BVH file in it, an unreadable one, or a manifest without these columns.
+        InputError: no directory, no clip in it, none that is readable, or a bad manifest.
     """
-    files = sorted(directory.glob("*.bvh"))
-    if not files:
-        raise InputError(f"{directory}: no .bvh files; give a folder of motion capture clips")
-    descriptions: dict[str, str] = {}
-    manifest = directory / "manifest.csv"
-    if manifest.exists():
-        with manifest.open(newline="") as handle:
-            rows = csv.DictReader(handle)
-            if not {"file", "description"} <= set(rows.fieldnames or ()):
-                raise InputError(f"{manifest} must have the columns file and description, has {rows.fieldnames}")
-            descriptions = {row["file"]: (row["description"] or "").lower() for row in rows}
-    for path in files:
-        postures, frame_time = read_bvh(path, anny_rest)
-        step = max(1, round(1 / 30 / frame_time))
-        postures = postures[::step][_unflipped(postures[::step], frame_time * step)]
-        words = descriptions.get(path.name, "")
-        simple = any(word in words for word in ("walk", "run", "jog"))
-        yield Clip(path.stem, postures, simple, split_of(path.stem))
+    skipped: list[SkippedClip] = []
+    read = 0
+    for clip in ClipFolder.open(directory).read(anny_rest):
+        if isinstance(clip, Clip):
+            read += 1
+            yield clip
+        else:
+            skipped.append(clip)
+    check_any_read(directory, read, skipped)
+
+
+def check_any_read(directory: Path, read: int, skipped: Sequence[SkippedClip]) -> None:
+    """Raise InputError when no clip of a directory could be read."""
+    if not read:
+        first = skipped[0]
+        raise InputError(f"{directory}: none of its {len(skipped)} clips is readable; {first.name}: {first.reason}")
 
 
 def without_heading(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n 20 3"]:

@@ -1,9 +1,10 @@
-"""Where postures come from: clips of motion capture, or the packaged prior learnt from such clips."""
+"""Where postures come from: clips of motion capture, a pool made of them, or the packaged prior learnt from them."""
 
 from __future__ import annotations
 
 import dataclasses
 import importlib.resources
+import logging
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,10 +17,14 @@ from numpy import ndarray
 from depthmocap.body.model import BodyModel, Phenotype
 from depthmocap.body.posture import POSTURE_BONES, POSTURE_PARENTS, mirror_posture, turn_posture, world_rotations
 from depthmocap.errors import InputError
-from depthmocap.synth.mocap import Clip, read_clips, without_heading
+from depthmocap.synth.limits import bone_axis
+from depthmocap.synth.mocap import Clip, ClipFolder, SkippedClip, check_any_read, without_heading
+from depthmocap.synth.pool import PosturePool
+
+_LOG = logging.getLogger(__name__)
 
 #: Bones above the pelvis, which recombination takes from another posture.
-_UPPER = np.array([i for i, name in enumerate(POSTURE_BONES) if name.partition(".")[0] not in
+UPPER_BONES = np.array([i for i, name in enumerate(POSTURE_BONES) if name.partition(".")[0] not in
                    ("pelvis", "thigh", "shin", "foot")])  # fmt: skip
 
 
@@ -54,14 +59,8 @@ def joint_positions(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n 20 
     world = world_rotations(postures)
     ends = np.zeros((*postures.shape[:-1], 3))
     for i, (name, parent) in enumerate(zip(POSTURE_BONES, POSTURE_PARENTS, strict=True)):
-        kind, _, side = name.partition(".")
-        out = -1.0 if side == "R" else 1.0
-        direction = {
-            "clavicle": [out, 0, 0], "upper_arm": [out * 0.75, 0, -0.66], "forearm": [out * 0.75, -0.3, -0.6],
-            "hand": [out * 0.7, -0.4, -0.6], "thigh": [0, 0, -1], "shin": [0, 0, -1], "foot": [0, -0.9, -0.4],
-        }.get(kind, [0, 0, 1])  # fmt: skip
         start = ends[:, parent] if parent >= 0 else 0.0
-        ends[:, i] = start + world[:, i] @ (np.array(direction) * lengths[kind])
+        ends[:, i] = start + world[:, i] @ (bone_axis(name) * lengths[name.partition(".")[0]])
     return ends
 
 
@@ -97,6 +96,24 @@ class ClipPostures:
         self.groups = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
         self._variation = variation
 
+    @classmethod
+    def of_pool(cls, pool: PosturePool, split: str, simple: bool, variation: Variation) -> ClipPostures:
+        """The postures of a pool that belong to a split, as they are: they are distinct already.
+
+        Raises:
+            InputError: when there are none.
+        """
+        chosen = pool.select(split, simple)
+        if not len(chosen):
+            kind = "walking or running " if simple else ""
+            raise InputError(f"the pool has no {kind}postures of the {split} split: build it from more clips")
+        clips, groups = np.unique(pool.clips[chosen], return_inverse=True)
+        source = cls.__new__(cls)
+        source.names = [pool.clip_names[clip] for clip in clips]
+        source.postures, source.groups = pool.postures[chosen], groups
+        source._variation = variation
+        return source
+
     def __len__(self) -> int:
         return len(self.postures)
 
@@ -105,7 +122,7 @@ class ClipPostures:
         index = int(rng.integers(len(self.postures)))
         posture = self.postures[index].astype(np.float64)
         if rng.random() < self._variation.recombine:
-            posture[_UPPER] = self.postures[rng.integers(len(self.postures))][_UPPER]
+            posture[UPPER_BONES] = self.postures[rng.integers(len(self.postures))][UPPER_BONES]
         return _vary(posture, self._variation, rng), int(self.groups[index])
 
 
@@ -155,17 +172,47 @@ class PosturePrior:
         return _vary(posture, self.variation, rng), component
 
 
-def load_clips(directory: Path) -> list[Clip]:
-    """All clips of a directory of BVH files."""
+def anny_rest() -> dict[str, Float[ndarray, "3"]]:
+    """Head of every bone of the default body at rest, which retargeting needs."""
     model = BodyModel.load()
-    rest = dict(zip(model.bone_names, model.shape(Phenotype()).rest_heads, strict=True))
-    return list(read_clips(directory, rest))
+    return dict(zip(model.bone_names, model.shape(Phenotype()).rest_heads, strict=True))
+
+
+def load_clips(directory: Path) -> list[Clip]:
+    """All readable clips of a directory; what is skipped is logged.
+
+    Raises:
+        InputError: no directory, no clip in it, or none that is readable.
+    """
+    clips: list[Clip] = []
+    skipped: list[SkippedClip] = []
+    for clip in ClipFolder.open(directory).read(anny_rest()):
+        if isinstance(clip, Clip):
+            clips.append(clip)
+        else:
+            skipped.append(clip)
+    check_any_read(directory, len(clips), skipped)
+    if skipped:
+        _LOG.warning(
+            "%s: skipped %d of %d clips: %s",
+            directory,
+            len(skipped),
+            len(skipped) + len(clips),
+            "; ".join(f"{clip.name}: {clip.reason}" for clip in skipped),
+        )
+    return clips
 
 
 def posture_source(
-    directory: Path | None, split: str, simple: bool = False, variation: Variation = Variation()
+    postures: Path | None, split: str, simple: bool = False, variation: Variation = Variation()
 ) -> ClipPostures | PosturePrior:
-    """Clips of a directory where one is given, else the packaged prior."""
-    if directory is None:
+    """Postures of a pool file or of a folder of clips where one is given, else of the packaged prior.
+
+    Raises:
+        InputError: a folder without readable clips, a file that is no pool, or no posture of the split.
+    """
+    if postures is None:
         return PosturePrior.load(simple=simple, variation=variation)
-    return ClipPostures(load_clips(directory), split, simple, variation)
+    if postures.is_file():
+        return ClipPostures.of_pool(PosturePool.load(postures), split, simple, variation)
+    return ClipPostures(load_clips(postures), split, simple, variation)

@@ -1,0 +1,109 @@
+"""Distinct points among many: a cover that is grown point by point, and greedy farthest-point picking.
+
+Points are the joints of a posture; two are as far apart as the joint that differs most.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+#: Coordinates that the cells of the cover's grid are made of: of the hands (backwards and up), joints 9 and 16 of 20.
+_GRID_JOINTS = np.array([9, 9, 16, 16])
+_GRID_AXES = np.array([1, 2, 1, 2])
+
+
+@numba.njit(cache=True, nogil=True)
+def _apart2(a, b, limit2):
+    """Squared distance of two points; once it is above ``limit2``, any value above that."""
+    worst = np.float32(0)
+    for j in range(a.shape[0] - 1, -1, -1):  # ends of limbs differ most, and the last are feet and hands
+        x, y, z = a[j, 0] - b[j, 0], a[j, 1] - b[j, 1], a[j, 2] - b[j, 2]
+        d2 = x * x + y * y + z * z
+        if d2 > worst:
+            worst = d2
+            if worst > limit2:
+                break
+    return worst
+
+
+@numba.njit(cache=True, nogil=True)
+def _slot(cell, mask):
+    hashed = np.int64(0)
+    for k in range(cell.shape[0]):
+        hashed = hashed * np.int64(1000003) + cell[k]
+    hashed ^= hashed >> np.int64(17)
+    return hashed & mask
+
+
+@numba.njit(cache=True, nogil=True)
+def grow_cover(points, radius, cover, count, table, following, kept, limit):
+    """Add the points that are further than ``radius`` from all of the cover, in order, and mark them in ``kept``.
+
+    ``table`` (a power of two; −1 where empty) and ``following`` are the chains of a hash grid of cells as wide as the
+    radius. Returns the cover's new count, and how many points were looked at: fewer than all when ``limit`` is reached.
+    """
+    mask = np.int64(table.shape[0] - 1)
+    radius2 = np.float32(radius * radius)
+    cell = np.empty(4, np.int64)
+    near = np.empty(4, np.int64)
+    for i in range(points.shape[0]):
+        if count >= limit:
+            return count, i
+        for k in range(4):
+            cell[k] = np.int64(np.floor(points[i, _GRID_JOINTS[k], _GRID_AXES[k]] / radius))
+        covered = False
+        for neighbour in range(81):
+            code = (neighbour + 40) % 81  # the cell itself first
+            for k in range(4):
+                near[k] = cell[k] + code % 3 - 1
+                code //= 3
+            member = table[_slot(near, mask)]
+            while member >= 0:
+                if _apart2(points[i], cover[member], radius2) <= radius2:
+                    covered = True
+                    break
+                member = following[member]
+            if covered:
+                break
+        if not covered:
+            slot = _slot(cell, mask)
+            cover[count] = points[i]
+            following[count] = table[slot]
+            table[slot] = count
+            count += 1
+            kept[i] = True
+    return count, points.shape[0]
+
+
+@numba.njit(cache=True, nogil=True)
+def pick_farthest(points, allowed, nearest2, owner, picks, count, target):
+    """Go on picking the point furthest from all picks, among those allowed, until there are ``target`` picks.
+
+    ``nearest2`` is every point's squared distance to its nearest pick (start with infinity, picks below zero) and
+    ``owner`` that pick's place in ``picks``. A pick that is twice as far from a point's owner as the point cannot be
+    nearer to it (the triangle inequality), which spares most distances. Returns the number of picks, and the squared
+    distance of the farthest allowed point that is left (−1: none).
+    """
+    to_picks2 = np.empty(picks.shape[0], np.float32)
+    while True:
+        best, best2, reach2 = -1, np.float32(-1), np.float32(0)
+        for i in range(points.shape[0]):
+            if nearest2[i] > best2 and allowed[i]:
+                best, best2 = i, nearest2[i]
+            if nearest2[i] > reach2:
+                reach2 = nearest2[i]
+        if best < 0 or count >= target:
+            return count, best2
+        for p in range(count):
+            to_picks2[p] = _apart2(points[best], points[picks[p]], np.float32(4) * reach2)
+        for i in range(points.shape[0]):
+            d2 = nearest2[i]
+            if d2 > 0 and (count == 0 or to_picks2[owner[i]] < np.float32(4) * d2):
+                new2 = _apart2(points[best], points[i], d2)
+                if new2 < d2:
+                    nearest2[i] = new2
+                    owner[i] = count
+        nearest2[best] = np.float32(-1)
+        picks[count] = best
+        count += 1

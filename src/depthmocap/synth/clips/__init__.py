@@ -1,0 +1,1 @@
+"""Motion capture files: their readers, their skeletons, and the way onto ours."""

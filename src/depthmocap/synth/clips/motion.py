@@ -1,0 +1,79 @@
+"""What every reader of motion capture files gives: a tree of joints and its rotations, in the file's own axes."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Motion:
+    """A moving skeleton. In the zero pose all rotations are the identity and joints lie at the sums of offsets.
+
+    Attributes:
+        names: joints, parents before their children; the first is the root.
+        parents: index of every joint's parent, −1 for the root.
+        offsets: from the parent's joint, in the file's unit of length.
+        ends: from the last joint of a limb to its tip; zeros where a joint has children or the file tells nothing.
+        rotations: of every joint relative to its parent.
+        frame_time_s: seconds between frames.
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    offsets: Float[ndarray, "j 3"]
+    ends: Float[ndarray, "j 3"]
+    rotations: Float[ndarray, "n j 3 3"]
+    frame_time_s: float
+
+    def world_rotations(self) -> Float[ndarray, "n j 3 3"]:
+        """Rotation of every joint away from the zero pose, in the file's world."""
+        world = self.rotations.copy()
+        for joint, parent in enumerate(self.parents):
+            if parent >= 0:
+                world[:, joint] = world[:, parent] @ self.rotations[:, joint]
+        return world
+
+    def children(self, joint: int) -> list[int]:
+        """Joints that hang from one."""
+        return [child for child, parent in enumerate(self.parents) if parent == joint]
+
+    def ancestors(self, joint: int) -> list[int]:
+        """A joint, its parent, and so on up to the root."""
+        chain = [joint]
+        while self.parents[chain[-1]] >= 0:
+            chain.append(self.parents[chain[-1]])
+        return chain
+
+    def joined(self, joints: list[int]) -> int:
+        """The lowest joint that all of some joints hang from (or are)."""
+        shared = set(self.ancestors(joints[0])).intersection(*(self.ancestors(joint) for joint in joints[1:]))
+        return max(shared, key=lambda joint: len(self.ancestors(joint)))
+
+    def tail(self, joint: int) -> Float[ndarray, "3"]:
+        """From a joint to the nearest one below it that is not at the same place, in the zero pose (for a hand: the
+        middle finger); zeros where there is none."""
+        children = sorted(self.children(joint), key=lambda child: "mid" not in self.names[child].lower())
+        for child in children:
+            if np.linalg.norm(self.offsets[child]) > 1e-6:
+                return self.offsets[child]
+        for child in children:
+            if "umb" not in self.names[child]:
+                return self.tail(child)
+        return self.ends[joint]
+
+    def heads(self, world: Float[ndarray, "j 3 3"]) -> Float[ndarray, "j 3"]:
+        """Places of the joints under world rotations, the root at the origin."""
+        places = np.zeros((len(self.names), 3))
+        for joint, parent in enumerate(self.parents):
+            if parent >= 0:
+                places[joint] = places[parent] + world[parent] @ self.offsets[joint]
+        return places
+
+
+def frame_step(frame_time_s: float) -> int:
+    """Frames to go on at a time for about 30 postures a second."""
+    return max(1, round(1 / 30 / frame_time_s))
