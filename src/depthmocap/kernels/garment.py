@@ -56,6 +56,36 @@ def edge_lengths(points, starts, neighbours):
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
+def spanned(points, normals, starts, neighbours, count, rounds):
+    """How far (metres, along the normal) a taut cloth would be off each of the first ``count`` vertices: above hollows,
+    and below bumps; 0 for the others.
+
+    The cloth is the mesh after some rounds of moving every vertex to the mean of its neighbours.
+    """
+    old, new = points.copy(), points.copy()
+    for _ in range(rounds):
+        for v in range(count):
+            x = y = z = np.float32(0)
+            first, last = starts[v], starts[v + 1]
+            for e in range(first, last):
+                n = neighbours[e]
+                x += old[n, 0]
+                y += old[n, 1]
+                z += old[n, 2]
+            share = np.float32(1) / max(last - first, 1)
+            new[v, 0], new[v, 1], new[v, 2] = x * share, y * share, z * share
+        old, new = new, old
+    out = np.zeros(points.shape[0], np.float32)
+    for v in range(count):
+        out[v] = (
+            (old[v, 0] - points[v, 0]) * normals[v, 0]
+            + (old[v, 1] - points[v, 1]) * normals[v, 1]
+            + (old[v, 2] - points[v, 2]) * normals[v, 2]
+        )
+    return out
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
 def cut(level, hidden, faces, starts, neighbours):
     """The part of a mesh where ``level`` is above 0, without faces whose corners are all ``hidden``.
 
@@ -108,8 +138,9 @@ def between(field, vertices, partner, mix):
 def rings(level, metres, azimuth, slant, wander, patches, trunk, waves, out):
     """Add folds that run around limbs and trunk, where ``level`` is not far outside.
 
-    The first ``trunk`` vertices are the trunk's. A row of ``waves``: wave number on limbs and trunk (radians a metre), turns around the limb, phase. Ridges
-    are narrower than the valleys between them; where ``patches`` is low, cloth lies smooth.
+    The first ``trunk`` vertices are the trunk's. A row of ``waves``: wave number on limbs and on the trunk (radians a
+    metre), turns around the limb, phase. Ridges are narrower than the valleys between them; where ``patches`` is low,
+    cloth lies smooth.
     """
     for v in range(level.shape[0]):
         if level[v] < np.float32(-0.1):

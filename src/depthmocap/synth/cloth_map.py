@@ -122,13 +122,14 @@ def _build(model: BodyModel) -> ClothMap:
     middle = np.abs(body.rest_vertices[:, 0]) < 0.01
     hip = heads["upperleg01.L"]
     crotch = float(body.rest_vertices[middle & (body.rest_vertices[:, 2] < hip[2] + 0.05), 2].min())
-    hairy = np.bincount(faces.ravel(), np.repeat(np.isin(kinds[wanted], ("hair", "forehead")), 3).astype(float))
+    hairy = np.bincount(faces.ravel(), np.repeat(np.isin(kinds[wanted], ("hair", "forehead")), 3))
     scalp = hairy / np.bincount(faces.ravel())
     # Where cloth must part, below the crotch, the leg begins.
     part = np.select([scalp > 0.3, armness > 0.5, (legness > 0.5) & (points[:, 2] < crotch)], [4, 1, 2], 0)
     part[(part == 2) & (points[:, 0] < 0)] = 3
     order = np.lexsort((points[:, 2], part))
-    vertices, points, armness, scalp, part = (a[order] for a in (vertices, points, armness, scalp, part))
+    vertices, points, part = vertices[order], points[order], part[order]
+    armness, scalp = armness[order], scalp[order]
     faces = np.argsort(order)[faces].astype(np.int32)
     edges = _edges(faces)
     x, y, z = points.T
@@ -148,6 +149,11 @@ def _build(model: BodyModel) -> ClothMap:
     skull = heads["head"]
     azimuth[head] = np.arctan2(x[head], y[head] - skull[1])
 
+    sections: dict[tuple[str, int], tuple[ndarray, ndarray]] = {}
+    for (side, code), (bone, (above, below)) in itertools.product((("L", 2), ("R", 3)), enumerate(SECTIONS)):
+        own = part == code
+        slices = [np.flatnonzero(own & (np.abs(along - at) < 0.1)) for at in (above, below)]
+        sections[side, bone] = slices[0], slices[1]
     starts = np.searchsorted(edges[:, 0], np.arange(len(vertices) + 1))
     around = np.linspace(-np.pi, np.pi, SKIRT_COLUMNS, endpoint=False)
     hair_around = np.linspace(-HAIR_SIDE_RAD, HAIR_SIDE_RAD, HAIR_COLUMNS)
@@ -180,11 +186,7 @@ def _build(model: BodyModel) -> ClothMap:
         coarse=_random_fields(points, (0.12, 0.4), 4),
         fine=_random_fields(points, (0.05, 0.12), 6),
         chest=np.flatnonzero((part == 0) & (np.abs(z - heads["spine01"][2]) < 0.05) & (np.abs(x) < 0.05)),
-        sections={
-            (side, bone): tuple(np.flatnonzero((part == code) & (np.abs(along - at) < 0.1)) for at in SECTIONS[bone])
-            for side, code in (("L", 2), ("R", 3))
-            for bone in (0, 1)
-        },
+        sections=sections,
         stature=float(np.ptp(body.rest_vertices[:, 2])),
         skirt=_anchors(points, edges, np.isin(part, (0, 2, 3)), crotch + SKIRT_LINE_M, (0.0, centre), around),
         hair=_anchors(points, edges, part == 4, eye + HAIR_LINE_M, (0.0, float(skull[1])), hair_around),

@@ -50,8 +50,8 @@ def leg_capsules(rest: RestCloth, body: Body) -> Capsules:
         joints = [names.index(f"{bone}.{side}") for bone in ("upperleg01", "lowerleg01")]
         for bone in (0, 1):
             (start, near), (end, far) = (_section(rest.points[ids]) for ids in cloth.sections[side, bone])
-            # The thigh goes on a little above the crotch, inside the pelvis.
-            rows.append((joints[bone], start + (start - end) * (0.2 if bone == 0 else 0.1), end, near, far))
+            # The thigh goes on a little above the crotch, inside the pelvis, and to the knee.
+            rows.append((joints[bone], start + 0.15 * (start - end), end + 0.1 * (end - start), near, far))
     middle = [body.rest_heads[names.index(bone)] for bone in ("root", "spine02")]
     chest = rest.points[cloth.chest]
     radius = float(np.ptp(chest[:, 1])) / 2
@@ -221,7 +221,7 @@ def skirt_sheet(
         -1,
     )  # fmt: skip
     bones = [names.index(bone) for bone in ("root", "upperleg01.L", "upperleg01.R", "lowerleg01.L", "lowerleg01.R")]
-    margin = garment.thickness_m + under_m + 0.006
+    margin = garment.thickness_m + under_m + 0.012
     return _sheet(points, bones, weights, not garment.open_m, columns, leg_capsules(rest, body), margin, 0.012, 12)
 
 

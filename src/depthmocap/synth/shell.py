@@ -9,13 +9,13 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from depthmocap.body.model import Body, BoneTransforms
-from depthmocap.kernels.garment import between, compression, cut, edge_lengths, hang, pose_skin, rings, wear
+from depthmocap.kernels.garment import between, compression, cut, edge_lengths, hang, pose_skin, rings, spanned, wear
 from depthmocap.kernels.skin import vertex_normals
 from depthmocap.synth.cloth_map import ARM_M, LEG_M, SECTIONS, Anchors, ClothMap
 from depthmocap.synth.wardrobe import SKIRT_LINE_M, Garment, Hair, Shoes
 
-#: Folds of a fully compressed spot, as a multiple of those at rest.
-CREASE = 5.0
+#: Growth of folds with compression: a bent elbow or groin shortens the skin by 10–30 %.
+CREASE = 9.0
 #: A shell with a skirt ends this far below the line that the skirt hangs from.
 OVERLAP_M = 0.015
 #: Most air that falling cloth leaves under it.
@@ -27,12 +27,17 @@ _OFF = np.float32(-1.0)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RestCloth:
-    """A body's skin in the rest pose, where clothes go. ``scale`` is its stature over the default body's."""
+    """A body's skin in the rest pose, where clothes go.
+
+    ``span`` is how far a taut cloth would be off the skin (see ``kernels.garment.spanned``), ``scale`` the body's
+    stature over the default's.
+    """
 
     cloth: ClothMap
     points: Float[ndarray, "n 3"]
     normals: Float[ndarray, "n 3"]
     lengths: Float[ndarray, "e"]
+    span: Float[ndarray, "n"]
     centre_y: float
     scale: float
 
@@ -44,10 +49,11 @@ class RestCloth:
         normals = np.empty_like(points)
         vertex_normals(points, cloth.faces, normals)
         lengths = edge_lengths(points, cloth.starts, cloth.neighbours)
+        span = spanned(points, normals, cloth.starts, cloth.neighbours, cloth.trunk.stop, 10)
         scale = float(np.ptp(body.rest_vertices[:, 2])) / cloth.stature
         line = cloth.skirt
         centre_y = float((points[line.first, 1].max() + points[line.first, 1].min()) / 2)
-        return cls(cloth, points, normals, lengths, centre_y, scale)
+        return cls(cloth, points, normals, lengths, span, centre_y, scale)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -204,9 +210,12 @@ def _folds(
     if garment.top is None:
         trunk = cloth.trunk
         phase = rng.integers(4, 10) * cloth.azimuth[trunk] + cloth.coarse[wander, trunk] + rng.uniform(0, 2 * np.pi)
-        folds[trunk] += 0.4 * garment.slack_m * np.cos(phase) * _smooth(1 - level[trunk] / 0.35)
-    if garment.leg > 1.5:  # cloth gathers over the foot
-        folds[cloth.leg] *= 1 + 1.2 * _smooth((cloth.along[cloth.leg] - 1.5) / 0.4)
+        low = 1 - (cloth.height[trunk] - garment.hem) / 0.35
+        folds[trunk] += 0.4 * garment.slack_m * np.cos(phase) * _smooth(low)
+    # Limbs fold at elbows and knees, and long trousers over the foot.
+    for part in (cloth.arm, cloth.leg):
+        along = cloth.along[part]
+        folds[part] *= 0.35 + 0.75 * np.exp(-(((along - 1) / 0.3) ** 2)) + 1.2 * _smooth((along - 1.6) / 0.4)
     return folds
 
 
@@ -227,7 +236,7 @@ def _cut(
         partner = np.concatenate([partner, anchors.second])
         mix = np.concatenate([mix, anchors.share])
     values = [between(field, vertices, partner, mix) for field in fields]
-    return Shell(vertices, partner, mix, *values, faces, len(anchors.first) if anchors else 0)
+    return Shell(vertices, partner, mix, values[0], values[1], values[2], faces, len(anchors.first) if anchors else 0)
 
 
 def garment_shell(
@@ -247,7 +256,10 @@ def garment_shell(
     """
     cloth = rest.cloth
     air = _air(rest, garment) + garment.slack_m * rest.scale * _shape(cloth, garment, level)
-    thickness = garment.thickness_m + under
+    # Thick or loose cloth does not show what is small beneath it.
+    stiff = np.float32(min((garment.thickness_m + 0.4 * garment.slack_m) / 0.015, 1.0))
+    own = np.float32(garment.thickness_m)
+    thickness = under + np.maximum(own + stiff * rest.span, np.float32(0.4) * own)
     if garment.hood_m:
         thickness = thickness + _hood(cloth, garment, level)
     # Slack beneath is not added: the outer garment presses on it, or has room for it.
@@ -283,7 +295,7 @@ def hair_cap(rest: RestCloth, hair: Hair, rng: np.random.Generator) -> Shell:
     level, thickness = np.full(len(cloth.vertices), _OFF, np.float32), np.zeros(len(cloth.vertices), np.float32)
     level[head] = np.minimum(cloth.scalp[head] * 0.06 - 0.02, back + np.clip(high - 0.1, 0, 1))
     rim = 0.35 + 0.65 * _smooth(level[head] / 0.03)
-    lumps = 1 + 0.25 * hair.lumps * cloth.fine[rng.integers(len(cloth.fine)), head]
+    lumps = 1 + 0.4 * hair.lumps * cloth.fine[rng.integers(len(cloth.fine)), head]
     # Hair stands off the crown more than off the nape.
     crown = 0.6 + 0.4 * _smooth((high - 0.02) / 0.12)
     thickness[head] = np.maximum(hair.volume_m * rim * lumps * crown, 0.003) * max(rest.scale, 0.8)

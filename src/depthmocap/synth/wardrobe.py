@@ -156,7 +156,8 @@ def random_garment(rng: np.random.Generator, family: str) -> Garment:
     """A garment of a family, within its ranges."""
     ranges = FAMILIES[family]
     values = {name: float(rng.uniform(*span)) for name, span in ranges.items()}
-    loose = rng.uniform()
+    # Most trousers are rather tight.
+    loose = rng.beta(1.2, 2.2) if family == "trousers" else rng.uniform()
     for name in ("slack_m", "sag"):
         low, high = ranges[name]
         values[name] = low + (high - low) * float(np.clip(loose + rng.normal(0, 0.1), 0, 1))
