@@ -130,7 +130,7 @@ def _holes(depth: Float[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
 
 
 def _gaps(depth: Float[ndarray, "h w"]) -> tuple[Float[ndarray, "_"], Float[ndarray, "_"]]:
-    """Widths of what is invalid between surfaces at different distances, up to 30 px: near on the left, on the right."""
+    """Widths (up to 30 px) of what is invalid between two distances: with the near one on the left, on the right."""
     rows, columns = np.nonzero(depth > 0)
     z = depth[rows, columns]
     width = np.diff(columns) - 1

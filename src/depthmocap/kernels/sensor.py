@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -17,11 +17,14 @@ _MOST = 3.5
 #: Pixels between the points that multipath is worked out at.
 FACING_STEP = 4
 #: Pixels of a block that is searched for silhouettes.
-EDGE_BLOCK = 8
+EDGE_BLOCK = 4
 #: Pixels without depth around the picture for :func:`read`; what is moved, spread or lost goes no farther than this.
 MARGIN = 8
 #: Surfaces facing each other reach this far (metres).
 _FACING_M = 0.3
+
+#: Divisions by zero are not looked for; no not-a-numbers or infinities are ruled out.
+_kernel = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
 
 
 class Pinhole(NamedTuple):
@@ -50,10 +53,10 @@ class Terms(NamedTuple):
     lost_near_px: float
     flying: float
     behind_m: float
-    blend: float
     multipath_m: float
     reach_m: float
     hole_spread: float
+    hole_dust: float
     vignette: float
     nearest_m: float
     farthest_m: float
@@ -62,8 +65,8 @@ class Terms(NamedTuple):
     step_from_m: float
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _bits(seed: int, index: int) -> int:
+@_kernel
+def _bits(seed: Any, index: Any) -> Any:
     """64 random bits of a position, by splitmix64's finaliser."""
     x = np.uint64(seed) + np.uint64(index) * np.uint64(0x9E3779B97F4A7C15)
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -71,20 +74,20 @@ def _bits(seed: int, index: int) -> int:
     return x ^ (x >> np.uint64(31))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _part(bits: int, i: int) -> float:
+@_kernel
+def _part(bits: Any, i: int) -> Any:
     """One of four uniform numbers in 0–1 from the bits."""
     return np.float32((bits >> np.uint64(16 * i)) & np.uint64(0xFFFF)) * np.float32(1 / 65536)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _normal(bits: int) -> float:
+@_kernel
+def _normal(bits: Any) -> Any:
     """Nearly normal, deviation 1: a sum of four uniform numbers, never beyond ±3.46."""
     total = _part(bits, 0) + _part(bits, 1) + _part(bits, 2) + _part(bits, 3)
     return (total - np.float32(2)) * np.float32(1.7320508)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@_kernel
 def field(seed: int, cell: float, out: ndarray) -> None:
     """Smooth noise of deviation 1, alike within about ``cell`` pixels.
 
@@ -117,7 +120,7 @@ def field(seed: int, cell: float, out: ndarray) -> None:
             out[v, u] = near[u] * mixed[columns[u]] + far[u] * mixed[columns[u] + 1]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@_kernel
 def cast_shadows(depth: ndarray, focal_baseline: float, dark: ndarray) -> None:
     """Mark what a lamp (or a second camera) beside the camera does not reach.
 
@@ -140,15 +143,15 @@ def cast_shadows(depth: ndarray, focal_baseline: float, dark: ndarray) -> None:
                     first = at
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _shift(pixels: float) -> int:
+@_kernel
+def _shift(pixels: Any) -> int:
     """A displacement in whole pixels, within the margin."""
     # The cast cuts towards zero: the large number makes that a floor.
     return min(max(int(pixels + 1024.5) - 1024, -MARGIN), MARGIN)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _slope(before: float, z: float, after: float) -> float:
+@_kernel
+def _slope(before: Any, z: Any, after: Any) -> Any:
     """Change of depth per pixel; across a silhouette that of the side without the jump."""
     a, b = z - before, after - z
     # Written as choices between numbers, which the compiler makes without branches.
@@ -157,7 +160,7 @@ def _slope(before: float, z: float, after: float) -> float:
     return np.float32(0) if max(before, after) <= 0 else slope
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@_kernel
 def facing(depth: ndarray, focal: float, out: ndarray) -> None:
     """How much of a surface's surroundings (0–1) stands in front of its tangent plane, near enough to send light there.
 
@@ -189,9 +192,9 @@ def facing(depth: ndarray, focal: float, out: ndarray) -> None:
             out[i, j] = total / 8
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def silhouettes(depth: ndarray, blocks: ndarray) -> None:
-    """Mark the blocks of ``EDGE_BLOCK`` pixels that hold a jump between neighbours, and the blocks around them."""
+@_kernel
+def silhouettes(depth: ndarray, around: int, blocks: ndarray) -> None:
+    """Mark the blocks of ``EDGE_BLOCK`` pixels that hold a jump between neighbours, and as many around them."""
     height, width = depth.shape
     for v in range(height):
         for u in range(width):
@@ -201,10 +204,10 @@ def silhouettes(depth: ndarray, blocks: ndarray) -> None:
             edge = EDGE_SHARE * z
             if abs(right - z) > edge or abs(below - z) > edge:
                 i, j = v // EDGE_BLOCK, u // EDGE_BLOCK
-                blocks[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2] = True
+                blocks[max(i - around, 0) : i + around + 1, max(j - around, 0) : j + around + 1] = True
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@_kernel
 def _incidence(above: ndarray, here: ndarray, below: ndarray, v: int, camera: Pinhole, secant2: ndarray) -> None:
     """1 / cos² of the angles of incidence in one row, given with its margin and its neighbours.
 
@@ -224,7 +227,7 @@ def _incidence(above: ndarray, here: ndarray, below: ndarray, v: int, camera: Pi
         secant2[u] = (a * a + b * b + c * c) * (one + x * x + y * y) / (z * z)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@_kernel
 def read(
     depth: ndarray,
     material: ndarray,
@@ -248,13 +251,20 @@ def read(
     height, width = out.shape
     patches = terms.patch_px > 1
     shared, own = np.float32(np.sqrt(terms.correlation)), np.float32(np.sqrt(1 - terms.correlation))
+    dust, blob = np.float32(np.sqrt(terms.hole_dust)), np.float32(np.sqrt(1 - terms.hole_dust))
     holes = terms.reach_m < np.inf
     shadowed, corrected, edges = dark.size > 0, faced.size > 0, blocks.size > 0
     secant2 = np.empty(width, np.float32)
     # The holes' noise is hardly ever beyond this: a stronger signal is never lost.
-    safe = np.exp(_MOST * terms.hole_spread)
+    spread = np.float32(terms.hole_spread)
+    safe = np.exp(np.float32(_MOST) * spread)
+    reach2, falloff = np.float32(terms.reach_m**2), np.float32(terms.vignette / camera.corner2)
+    constant, linear, square = np.float32(terms.axial_0), np.float32(terms.axial_1), np.float32(terms.axial_2)
+    grazing, wave, steepest = np.float32(terms.grazing), np.float32(terms.wave), np.float32(_STEEPEST)
+    dimmest, one = np.float32(0.02), np.float32(1)
     for v in range(height):
         row = v + MARGIN
+        dv2 = np.float32((v - camera.cy) ** 2)
         _incidence(depth[row - 1], depth[row], depth[row + 1], v, camera, secant2)
         for u in range(width):
             column = u + MARGIN
@@ -266,7 +276,7 @@ def read(
             left, right = depth[row, column - 1], depth[row, column + 1]
             above, below = depth[row - 1, column], depth[row + 1, column]
             if edges and blocks[v // EDGE_BLOCK, u // EDGE_BLOCK]:
-                edge = EDGE_SHARE * exact
+                edge = np.float32(EDGE_SHARE) * exact
                 if patches:
                     gu, gv = smooth[0, v, u], smooth[1, v, u]
                 else:
@@ -277,55 +287,54 @@ def read(
                 z = depth[row + _shift(terms.lateral_px * gv), column + _shift(terms.lateral_px * gu)]
                 if z <= 0:
                     continue
-                lost = False
                 for sign in (-1, 1):
                     if terms.fatten_px > 0:
                         length = sign * terms.fatten_px
                         other = depth[row + _shift(length * gv), column + _shift(length * gu)]
                         if 0 < other < z - edge:
                             z = other
-                    # Turned by a right angle, so that what is lost does not follow what is moved.
-                    if terms.lost_far_px > 0:
-                        length = sign * terms.lost_far_px
-                        other = depth[row + _shift(length * gu), column - _shift(length * gv)]
-                        lost |= 0 < other < z - edge
-                    if terms.lost_near_px > 0:
-                        length = sign * terms.lost_near_px
-                        other = depth[row + _shift(length * gu), column - _shift(length * gv)]
-                        lost |= other <= 0 or other > z + edge
-                if lost:
-                    continue
                 nearest, farthest = min(left, right, above, below), max(left, right, above, below)
+                flies = False
                 if nearest <= 0 or nearest < exact - edge or farthest > exact + edge:
                     chance = _bits(seed + 2, index)
-                    share = _part(chance, 1)
-                    if nearest <= 0 and _part(chance, 0) < terms.blend:
-                        z *= share
-                    elif _part(chance, 2) < terms.flying:
-                        # The near surface sends more light back: mixtures crowd there.
-                        far = farthest if farthest > z + edge else z + terms.behind_m
-                        if 0 < nearest < z - edge:
-                            far, z = z, nearest
-                        z += share * share * (far - z)
-            du, dv = u - camera.cx, v - camera.cy
-            seen = reflectance[material[v, u]]
-            seen *= 1 - terms.vignette * (du * du + dv * dv) / camera.corner2
+                    flies = _part(chance, 0) < terms.flying
+                if flies:
+                    far = farthest if farthest > z + edge else z + np.float32(terms.behind_m)
+                    if 0 < nearest < z - edge:
+                        far, z = z, nearest
+                    # The near surface sends more light back: mixtures crowd there.
+                    z += np.float32(_part(chance, 1) ** 2) * np.float32(far - z)
+                lost = False
+                norm = np.float32(1) / np.sqrt(gu * gu + gv * gv + np.float32(1e-6))
+                gu, gv = gu * norm, gv * norm
+                for _ in range(4):
+                    # Four ways at right angles: one of them leads within 45° of the way across any silhouette.
+                    gu, gv = -gv, gu
+                    if terms.lost_far_px > 0:
+                        other = depth[row + _shift(terms.lost_far_px * gv), column + _shift(terms.lost_far_px * gu)]
+                        lost |= 0 < other < z - edge
+                    if terms.lost_near_px > 0:
+                        other = depth[row + _shift(terms.lost_near_px * gv), column + _shift(terms.lost_near_px * gu)]
+                        lost |= other <= 0 or other > z + edge
+                if lost and not flies:
+                    continue
+            du = np.float32(u - camera.cx)
+            seen = reflectance[material[v, u]] * (one - falloff * (du * du + dv2))
             if holes:
-                signal = seen * terms.reach_m * terms.reach_m / (z * z * np.sqrt(secant2[u]))
+                signal = seen * reach2 / (z * z * np.sqrt(secant2[u]))
                 if signal < safe:
-                    draw = np.float32(0.6) * _normal(_bits(seed + 3, index))
-                    if smooth.shape[0] > 4:
-                        draw += np.float32(0.8) * smooth[4, v, u]
-                    if signal < np.exp(terms.hole_spread * draw):
+                    draw = blob * smooth[4, v, u] if terms.hole_dust < 1 else np.float32(0)
+                    if terms.hole_dust > 0:
+                        draw += dust * _normal(_bits(seed + 3, index))
+                    if signal < np.exp(spread * draw):
                         continue
-            sigma = terms.axial_0 + z * (terms.axial_1 + z * terms.axial_2)
-            sigma *= 1 + terms.grazing * min(secant2[u] - 1, _STEEPEST)
-            sigma /= np.sqrt(max(seen, 0.02))
+            sigma = constant + z * (linear + z * square)
+            sigma *= (one + grazing * min(secant2[u] - one, steepest)) / np.sqrt(max(seen, dimmest))
             error = own * _normal(_bits(seed, index))
             if terms.correlation > 0:
                 error += shared * smooth[2, v, u]
             if terms.wave > 0:
-                error += terms.wave * smooth[3, v, u]
+                error += wave * smooth[3, v, u]
             z += sigma * error
             if corrected:
                 z += terms.multipath_m * faced[v, u]
@@ -336,3 +345,20 @@ def read(
                 z = terms.step_from_m + np.round((z - terms.step_from_m) / terms.step_m) * terms.step_m
             if terms.nearest_m <= z <= terms.farthest_m and z > 0:
                 out[v, u] = z
+
+
+@_kernel
+def blend(depth: ndarray, share: float, seed: int, out: ndarray) -> None:
+    """Average that share of the pixels beside nothing with the nothing, 0, at random weights."""
+    height, width = depth.shape
+    for v in range(height):
+        for u in range(width):
+            z = depth[v, u]
+            out[v, u] = z
+            if z > 0:
+                left, right = depth[v, max(u - 1, 0)], depth[v, min(u + 1, width - 1)]
+                above, below = depth[max(v - 1, 0), u], depth[min(v + 1, height - 1), u]
+                if min(left, right, above, below) <= 0:
+                    bits = _bits(seed, v * width + u)
+                    if _part(bits, 0) < share:
+                        out[v, u] = z * _part(bits, 1)

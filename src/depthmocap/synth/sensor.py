@@ -17,6 +17,7 @@ from depthmocap.kernels.sensor import (
     MARGIN,
     Pinhole,
     Terms,
+    blend,
     cast_shadows,
     facing,
     field,
@@ -51,11 +52,12 @@ class SensorModel:
         reach_m: distance at which a fair surface that faces the sensor is lost half of the time. The signal falls with
             the distance squared, the cosine of the angle of incidence, the reflectance and the vignette.
         reflectance: by material, 1 for fair ones. The deviation grows by one over its square root.
-        hole_spread: deviation of the signal's logarithm; ``hole_px`` is the size of holes.
+        hole_spread: deviation of the signal's logarithm; ``hole_px`` is the size of holes, ``hole_dust`` the share of
+            the variance that every pixel has for itself.
         vignette: share of the signal that is missing in the corners.
-        baseline_m: distance to the projector or the second camera on the right (negative: on the left), whose
-            shadows are lost.
-        disparity_step_px: disparity is counted in steps of this, 0 for none.
+        shadow_m: distance to the lamp, projector or second camera on the right (negative: on the left), whose shadows
+            are lost.
+        baseline_m: disparity is measured over this length, in steps of ``disparity_step_px`` (0 for none).
         step_m: depth is counted in steps of this from ``step_from_m``, 0 for none.
     """
 
@@ -77,7 +79,9 @@ class SensorModel:
     reflectance: tuple[float, ...] = (1.0,) * len(Material)
     hole_spread: float = 0.3
     hole_px: float = 4.0
+    hole_dust: float = 0.5
     vignette: float = 0.0
+    shadow_m: float = 0.0
     baseline_m: float = 0.0
     disparity_step_px: float = 0.0
     step_m: float = 0.0
@@ -88,15 +92,15 @@ class SensorModel:
             raise InputError(f"range_m must be two growing distances from 0 on, got {self.range_m}")
         if len(self.reflectance) != len(Material) or min(self.reflectance) < 0:
             raise InputError(f"reflectance must be {len(Material)} numbers from 0 on, one a material")
-        for name in ("flying", "blend", "correlation", "vignette"):
+        for name in ("flying", "blend", "correlation", "hole_dust", "vignette"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name} is a share: it must be in 0 to 1, got {getattr(self, name)}")
         if min(self.patch_px, self.wave_px, self.hole_px) < 1:
             raise InputError("patch_px, wave_px and hole_px must be at least 1")
-        for field_ in dataclasses.fields(self):
-            if field_.name != "baseline_m" and np.min(getattr(self, field_.name)) < 0 and field_.name != "axial_m":
-                raise InputError(f"{field_.name} must not be negative, got {getattr(self, field_.name)}")
-        if self.disparity_step_px > 0 and self.baseline_m == 0:
+        for name, value in dataclasses.asdict(self).items():
+            if name not in ("shadow_m", "axial_m") and np.min(value) < 0:
+                raise InputError(f"{name} must not be negative, got {value}")
+        if self.disparity_step_px > 0 and not self.baseline_m:
             raise InputError("disparity_step_px needs a baseline_m")
 
 
@@ -127,45 +131,79 @@ def sense(
     rows, columns = np.flatnonzero(depth_m.any(1)), np.flatnonzero(depth_m.any(0))
     if not len(rows):
         return out
-    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    box = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
     depth = np.ascontiguousarray(depth_m[box], np.float32)
     what = np.zeros(depth.shape, np.uint8) if material is None else np.ascontiguousarray(material[box])
     dark, faced = np.zeros((0, 0), np.bool_), np.zeros((0, 0), np.float32)
-    if model.baseline_m != 0:
+    if model.shadow_m != 0:
         dark = np.zeros(depth.shape, np.bool_)
-        cast_shadows(depth, camera.fx * model.baseline_m, dark)
+        cast_shadows(depth, camera.fx * model.shadow_m, dark)
     if model.multipath_m > 0:
         coarse = np.empty((-(-depth.shape[0] // FACING_STEP), -(-depth.shape[1] // FACING_STEP)), np.float32)
         facing(depth, camera.fx, coarse)
         faced = cv2.resize(coarse, depth.shape[::-1], interpolation=cv2.INTER_LINEAR)
     blocks = np.zeros((0, 0), np.bool_)
-    if max(model.lateral_px, model.fatten_px, *model.lost_px, model.flying, model.blend) > 0:
+    farthest_px = max(3 * model.lateral_px, 3 * model.fatten_px, *model.lost_px)
+    if farthest_px > 0 or model.flying > 0:
         blocks = np.zeros((-(-depth.shape[0] // EDGE_BLOCK), -(-depth.shape[1] // EDGE_BLOCK)), np.bool_)
-        silhouettes(depth, blocks)
+        silhouettes(depth, int(min(np.ceil(farthest_px), MARGIN) - 1) // EDGE_BLOCK + 1, blocks)
     cells = (model.patch_px, model.patch_px, model.patch_px, model.wave_px, model.hole_px)
     used = (
         model.patch_px > 1,
         model.patch_px > 1,
         model.correlation > 0,
         model.wave > 0,
-        np.isfinite(model.reach_m),
+        np.isfinite(model.reach_m) and model.hole_dust < 1,
     )
     smooth = np.empty((len(cells) if any(used) else 0, *depth.shape), np.float32)
     for i, cell in enumerate(cells):
         if used[i]:
             field(seed + 10 + i, cell, smooth[i])
+    if used[3] and used[4]:
+        # Holes of two sizes: where matching is poor it is so over a wide area.
+        smooth[4] = np.sqrt(0.5) * (smooth[3] + smooth[4])
     corner2 = (max(camera.cx, camera.width - camera.cx) ** 2) + max(camera.cy, camera.height - camera.cy) ** 2
     cx, cy = camera.cx - columns[0], camera.cy - rows[0]
     pinhole = Pinhole(float(camera.fx), float(camera.fy), float(cx), float(cy), float(corner2))
     reflectance = np.array(model.reflectance, np.float32)
-    padded = np.pad(depth, MARGIN)
-    read(padded, what, reflectance, dark, faced, blocks, smooth, pinhole, _terms(model, camera), seed, out[box])
+    read(
+        _with_margin(depth, box, depth_m.shape),
+        what,
+        reflectance,
+        dark,
+        faced,
+        blocks,
+        smooth,
+        pinhole,
+        _terms(model, camera),
+        seed,
+        out[box],
+    )
+    if model.blend > 0:
+        blend(out[box].copy(), model.blend, seed + 4, out[box])
     return out
+
+
+def _with_margin(
+    depth: Float[ndarray, "h w"], box: tuple[slice, slice], shape: tuple[int, ...]
+) -> Float[ndarray, "h_out w_out"]:
+    """A box of a picture with a margin: nothing within the picture, and what is at its border beyond."""
+    wide = cv2.copyMakeBorder(depth, MARGIN, MARGIN, MARGIN, MARGIN, cv2.BORDER_REPLICATE)
+    rows, columns = box
+    if rows.start > 0:
+        wide[:MARGIN] = 0
+    if rows.stop < shape[0]:
+        wide[-MARGIN:] = 0
+    if columns.start > 0:
+        wide[:, :MARGIN] = 0
+    if columns.stop < shape[1]:
+        wide[:, -MARGIN:] = 0
+    return wide
 
 
 def _terms(model: SensorModel, camera: DepthCamera) -> Terms:
     counted = model.disparity_step_px > 0
-    disparity = camera.fx * abs(model.baseline_m) / model.disparity_step_px if counted else 0.0
+    disparity = camera.fx * model.baseline_m / model.disparity_step_px if counted else 0.0
     named = {name: float(getattr(model, name)) for name in Terms._fields if hasattr(model, name)}
     return Terms(
         axial_0=float(model.axial_m[0]),

@@ -11,7 +11,7 @@ Sources of the numbers:
 * Azure Kinect and Femto Bolt (the same time-of-flight camera): ranges and resolutions of Microsoft's and Orbbec's
   hardware specifications; a random error of at most 17 mm is specified, and ours is of the usual order instead.
 * RealSense: Intel's "Best-Known-Methods for Tuning Intel RealSense D400 Depth Cameras": deviation is
-  z² · subpixel / (focal length · baseline), subpixel about 0.08 for well textured targets; fields of view, baselines
+  z² · subpixel / (focal length · baseline), subpixel about 0.05 for well textured targets; fields of view, baselines
   and ranges of the data sheets.
 
 What these leave open (reflectances, lost and flying pixels, patches, waves, multipath) is our choice, made by comparing
@@ -69,7 +69,7 @@ class SensorPreset:
 
 
 #: Near infrared reflectance relative to fair skin and cloth, in the order of ``Material``; nothing stands for unknown.
-_TOF_REFLECTANCE = (1.0, 1.0, 1.0, 0.15, 0.12, 0.35, 1.0, 0.7, 1.0)
+_TOF_REFLECTANCE = (1.0, 1.0, 1.0, 0.15, 0.06, 0.3, 1.0, 0.7, 1.0)
 _PATTERN_REFLECTANCE = (1.0, 1.0, 1.0, 0.3, 0.2, 0.5, 1.0, 0.7, 1.0)
 #: Stereo finds little to match on plain walls.
 _STEREO_REFLECTANCE = (1.0, 1.0, 1.0, 0.6, 0.35, 0.6, 0.4, 0.6, 1.0)
@@ -79,61 +79,65 @@ _KINECT2 = SensorModel(
     axial_m=(0.0015, -0.0005, 0.0003),
     grazing=0.2,
     lateral_px=0.3,
-    lost_px=(0.9, 0.9),
-    flying=0.05,
+    lost_px=(1.35, 1.35),
+    flying=0.04,
     multipath_m=0.03,
-    reach_m=9.0,
+    reach_m=11.5,
     reflectance=_TOF_REFLECTANCE,
     hole_spread=0.35,
     hole_px=3.0,
-    vignette=0.75,
-    baseline_m=-0.01,
+    vignette=0.93,
+    shadow_m=-0.01,
     step_m=0.001,
 )
 _AZURE = dataclasses.replace(
     _KINECT2,
     range_m=(0.5, 3.86),
     axial_m=(0.0006, 0.0001, 0.0003),
-    lost_px=(0.8, 0.8),
+    lost_px=(1.2, 1.2),
     flying=0.04,
-    reach_m=6.5,
-    vignette=0.6,
-    baseline_m=0.0,
+    reach_m=8.0,
+    vignette=0.8,
+    shadow_m=0.0,
 )
 _KINECT1 = SensorModel(
     range_m=(0.5, 8.0),
     axial_m=(0.0015, -0.00152, 0.0019),
-    correlation=0.6,
-    patch_px=5.0,
+    correlation=0.95,
+    patch_px=6.0,
     wave=0.5,
     wave_px=60.0,
     lateral_px=0.8,
     fatten_px=1.5,
-    lost_px=(1.0, 0.0),
+    lost_px=(0.6, 0.0),
     reach_m=10.0,
     reflectance=_PATTERN_REFLECTANCE,
     hole_spread=0.5,
     hole_px=6.0,
+    hole_dust=0.01,
     vignette=0.3,
+    shadow_m=0.075,
     baseline_m=0.075,
     disparity_step_px=0.125,
     step_m=0.001,
 )
 _D435 = SensorModel(
     range_m=(0.2, 10.0),
-    axial_m=(0.0, 0.0, 0.08 / (424 * 0.05)),
-    correlation=0.9,
-    patch_px=9.0,
+    axial_m=(0.0, 0.0, 0.05 / (424 * 0.05)),
+    correlation=0.97,
+    patch_px=12.0,
     wave=0.5,
     wave_px=50.0,
     lateral_px=0.8,
     fatten_px=2.0,
-    lost_px=(3.5, 0.0),
-    reach_m=9.0,
+    lost_px=(6.0, 0.0),
+    reach_m=7.0,
     reflectance=_STEREO_REFLECTANCE,
     hole_spread=0.9,
-    hole_px=14.0,
+    hole_px=12.0,
+    hole_dust=0.0,
     vignette=0.3,
+    shadow_m=0.05,
     baseline_m=0.05,
     disparity_step_px=1 / 32,
     step_m=0.001,
@@ -178,9 +182,11 @@ SENSORS: dict[str, SensorPreset] = {
         423.5,
         239.5,
         "stereo",
-        dataclasses.replace(_D435, range_m=(0.4, 12.0), axial_m=(0.0, 0.0, 0.08 / (424 * 0.095)), baseline_m=0.095),
+        dataclasses.replace(
+            _D435, range_m=(0.4, 12.0), axial_m=(0.0, 0.0, 0.05 / (424 * 0.095)), shadow_m=0.095, baseline_m=0.095
+        ),
     ),
-    # An Xtion Pro at 320×240: the disparity is still counted at 640×480, and holes are filled.
+    # An Xtion Pro at 320×240: the disparity is still counted at 640×480; shadows and lost pixels are filled in.
     "itop": SensorPreset(
         320,
         240,
@@ -190,7 +196,16 @@ SENSORS: dict[str, SensorPreset] = {
         120.0,
         "structured light",
         dataclasses.replace(
-            _KINECT1, patch_px=3.0, lateral_px=0.5, fatten_px=0.8, wave_px=30.0, reach_m=14.0, disparity_step_px=0.0625
+            _KINECT1,
+            axial_m=(0.0011, -0.0011, 0.0014),
+            patch_px=4.0,
+            wave_px=30.0,
+            lateral_px=0.5,
+            fatten_px=0.8,
+            lost_px=(0.0, 0.0),
+            reach_m=14.0,
+            shadow_m=0.0,
+            disparity_step_px=0.0625,
         ),
     ),
 }
@@ -236,7 +251,10 @@ def random_model(rng: np.random.Generator, preset: SensorPreset) -> SensorModel:
 
     strength = times(3.0)
     reflectance = np.array(model.reflectance) * np.exp(rng.normal(0, 0.5, len(model.reflectance)))
-    flying = model.flying * times(3.0) + (rng.uniform(0, 0.3) if rng.random() < 0.3 else 0.0)
+    # Not all drivers remove the pixels that float at silhouettes.
+    raw = model.flying > 0 and rng.random() < 0.3
+    flying = rng.uniform(0.1, 0.5) if raw else model.flying * times(3.0)
+    lost = tuple(each * times(2.0) * (0.4 if raw else 1.0) for each in model.lost_px)
     return dataclasses.replace(
         model,
         axial_m=tuple(strength * each for each in model.axial_m),
@@ -245,8 +263,8 @@ def random_model(rng: np.random.Generator, preset: SensorPreset) -> SensorModel:
         patch_px=max(model.patch_px * times(1.5), 1.0),
         lateral_px=model.lateral_px * times(2.0),
         fatten_px=model.fatten_px * times(2.0),
-        lost_px=tuple(each * times(2.0) for each in model.lost_px),
-        flying=float(min(flying, 1.0)),
+        lost_px=lost,
+        flying=float(flying),
         behind_m=float(rng.uniform(0.1, 1.5)),
         blend=float(rng.uniform(0.2, 0.7)) if rng.random() < 0.2 else 0.0,
         multipath_m=model.multipath_m * times(3.0),
@@ -255,6 +273,6 @@ def random_model(rng: np.random.Generator, preset: SensorPreset) -> SensorModel:
         hole_spread=model.hole_spread * times(1.5),
         hole_px=max(model.hole_px * times(2.0), 1.0),
         vignette=float(model.vignette * rng.uniform(0, 1)),
-        baseline_m=model.baseline_m * (1.0 if rng.random() < 0.7 else -1.0),
+        shadow_m=model.shadow_m * (1.0 if rng.random() < 0.7 else -1.0),
         step_m=model.step_m if model.step_m > 0.002 or rng.random() < 0.7 else float(rng.choice([0.005, 0.01, 0.03])),
     )
