@@ -85,12 +85,13 @@ def _overlap(a: Float[ndarray, "4 2"], b: Float[ndarray, "4 2"]) -> bool:
 
 def room_shell(rng: np.random.Generator, place: Place, walls_m: tuple[float, float]) -> Solids:
     """Floor z = 0, four walls about the origin and a ceiling around all people and cameras."""
-    people, eyes = place.points, np.concatenate([place.eyes, np.zeros((1, 3))])
+    people, eyes = np.ascontiguousarray(place.points.T), np.concatenate([place.eyes, np.zeros((1, 3))])
+    lowest, highest = people.min(1), people.max(1)
     behind = rng.uniform(0.1, 0.6, 4)
     walls = rng.uniform(*walls_m, 4)
-    low = -np.maximum(walls[:2], np.maximum(0.1 - people.min(0)[:2], behind[:2] - eyes.min(0)[:2]))
-    high = np.maximum(walls[2:], np.maximum(0.1 + people.max(0)[:2], behind[2:] + eyes.max(0)[:2]))
-    ceiling = max(rng.uniform(2.3, 3.2), people[:, 2].max() + 0.1, eyes[:, 2].max() + 0.1)
+    low = -np.maximum(walls[:2], np.maximum(0.1 - lowest[:2], behind[:2] - eyes.min(0)[:2]))
+    high = np.maximum(walls[2:], np.maximum(0.1 + highest[:2], behind[2:] + eyes.max(0)[:2]))
+    ceiling = max(rng.uniform(2.3, 3.2), highest[2] + 0.1, eyes[:, 2].max() + 0.1)
     return shell((*low, 0.0), (*high, ceiling))
 
 

@@ -142,17 +142,18 @@ def random_scene(
         other = second_person if isinstance(second_person, PosedPerson) else second_person(rng)
         second = _place_second(rng, other, place, person, floor_m, settings.second_person_m)
 
+    has_room = rng.random() < settings.room
+    count = int(rng.integers(settings.furniture[0], settings.furniture[1] + 1))
+    if not has_room and count == 0:
+        return Scene(objects=objects, second=second)
     # The room has its own axes, its origin on the floor below the hips.
     origin = np.array([*person.joints[JOINT_INDEX["Hip"]][:2], floor_m])
     turn = yaw(rng.uniform(-np.pi, np.pi))
     local = place.moved(turn.T, -turn.T @ origin)
-    has_room = rng.random() < settings.room
     shell = room_shell(rng, local, settings.walls_m)
-    furniture = NONE
-    count = int(rng.integers(settings.furniture[0], settings.furniture[1] + 1))
-    if count:
-        pieces = [seat(rng, local), *furnish(rng, local, shell, count, settings.hiding, against_walls=has_room)]
-        furniture = join(pieces).moved(turn, origin)
+    pieces = [seat(rng, local)] if count else []
+    pieces += furnish(rng, local, shell, count, settings.hiding, against_walls=has_room)
+    furniture = join(pieces).moved(turn, origin)
     return Scene(shell.moved(turn, origin) if has_room else NONE, furniture, objects, second)
 
 
