@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from depthmocap.geometry import DepthCamera, look_at
 from depthmocap.synth.render import Material
+from depthmocap.synth.room import Box, Room, render_room, shelf, table
 from depthmocap.synth.solids import NONE, Solids, box, capsule, chain, cylinder, ellipsoid, join, shell
 
 TURN = Rotation.from_euler("xyz", [0.4, -0.7, 1.1]).as_matrix()
@@ -102,6 +103,25 @@ def test_a_small_solids_window_cuts_nothing_off() -> None:
 def vars_of(camera: DepthCamera) -> dict:
     names = ("name", "width", "height", "fx", "fy", "cx", "cy", "world_from_camera")
     return {name: getattr(camera, name) for name in names}
+
+
+@pytest.mark.parametrize("distorted", [False, True])
+def test_a_room_against_its_formula(distorted: bool) -> None:
+    boxes = (*table((0.3, 0.2), (1.5, 1.0), 0.74), *shelf((-2.0, -1.1), (-1.6, 0.3), 1.8, 5))
+    room = Room(Box((-2.0, -3.0, 0.0), (2.5, 3.0, 2.5)), boxes)
+    for eye in ((0.0, -2.5, 1.2), (-1.5, 2.0, 2.2), (1.7, 0.6, 0.8)):
+        camera = camera_at(eye, distorted=distorted)
+        rays, origin = rays_of(camera), np.array(eye)
+
+        def span(solid: Box, rays: np.ndarray = rays, origin: np.ndarray = origin) -> tuple[np.ndarray, np.ndarray]:
+            a, b = (np.array(solid.low) - origin) / rays, (np.array(solid.high) - origin) / rays
+            return np.minimum(a, b).max(-1), np.maximum(a, b).min(-1)
+
+        expected = span(room.shell)[1]
+        for solid in boxes:
+            enter, leave = span(solid)
+            expected = np.where((enter < leave) & (enter > 0), np.minimum(expected, enter), expected)
+        np.testing.assert_allclose(render_room(room, camera), expected, rtol=2e-7)
 
 
 @pytest.mark.parametrize("name", SOLIDS)

@@ -62,6 +62,7 @@ def trunk_axes(joints: Float[ndarray, "18 3"]) -> Float[ndarray, "3 3"]:
 
 
 def skin_points(person: PosedPerson, chosen: Bool[ndarray, "v"]) -> Float[ndarray, "p 3"]:
+    """The chosen vertices of the skin."""
     return person.vertices[chosen].astype(float)
 
 
@@ -109,15 +110,19 @@ def _hanging_bag(rng: np.random.Generator, hand: _Hand) -> Solids:
 
 
 def _carton(rng: np.random.Generator, hand: _Hand) -> Solids:
-    """A box between both hands, 0.15–0.4 high and deep; nothing where they are not both before the trunk."""
+    """A box between both hands, 0.15–0.4 high and deep, or a board 0.2–0.8 high; nothing where the hands are not both
+    before the trunk."""
     across = hand.other - hand.palm
     before = min((p - hand.middle) @ -hand.trunk[:, 1] for p in (hand.palm, hand.other))
     wide = float(np.linalg.norm(across))
     if not 0.15 < wide / hand.scale < 0.7 or before < 0.15 * hand.scale:
         return NONE
-    half = np.array([wide / 2 - 0.02, *rng.uniform(0.075, 0.2, 2) * hand.scale])
-    turn = axes_of(across, _UP)[:, [2, 0, 1]]
-    turn[:, 1:] = np.stack([np.cross(turn[:, 1], turn[:, 0]), turn[:, 1]], 1)  # x across, z as upright as can be
+    if rng.random() < 0.3:
+        half = np.array([wide / 2 + rng.uniform(0, 0.12), rng.uniform(0.004, 0.02), rng.uniform(0.1, 0.4) * hand.scale])
+    else:
+        half = np.array([wide / 2 - 0.02, *rng.uniform(0.075, 0.2, 2) * hand.scale])
+    axes = axes_of(across, _UP)
+    turn = np.stack([axes[:, 2], np.cross(axes[:, 0], axes[:, 2]), axes[:, 0]], 1)  # across, before, upwards
     centre = (hand.palm + hand.other) / 2 - hand.trunk[:, 1] * 0.5 * half[1]
     return box(centre, half, turn, Material.OBJECT)
 
@@ -177,7 +182,7 @@ def _grip_axis(rng: np.random.Generator, hand: _Hand, spread: float) -> Float[nd
 
 
 _Holder: TypeAlias = Callable[[np.random.Generator, _Hand], Solids]
-#: The carton first: few postures allow it, so that it is always tried.
+#: What one hand holds; the carton takes both, and is tried first because few postures allow it.
 _HELD: tuple[_Holder, ...] = (_ball, _hanging_bag, _bottle, _slab, _stick, _racket, _tray)
 
 
