@@ -124,8 +124,10 @@ def _holes(depth: Float[ndarray, "h w"]) -> Bool[ndarray, "h w"]:
     valid = (depth > 0).astype(np.uint8)
     ball = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
     closed = cv2.morphologyEx(valid, cv2.MORPH_CLOSE, ball, borderType=cv2.BORDER_CONSTANT, borderValue=0)
-    far = cv2.dilate(depth, ball)
-    near = cv2.erode(np.where(depth > 0, depth, np.float32(100)), ball)
+    # Both sides of a gap as wide as that are seen from all of it.
+    around = np.ones((15, 15), np.uint8)
+    far = cv2.dilate(depth, around)
+    near = cv2.erode(np.where(depth > 0, depth, np.float32(100)), around)
     return (closed > 0) & (valid == 0) & (far - near < 2 * _EDGE_SHARE * near)
 
 

@@ -146,7 +146,7 @@ def sense(
     farthest_px = max(3 * model.lateral_px, 3 * model.fatten_px, *model.lost_px)
     if farthest_px > 0 or model.flying > 0:
         blocks = np.zeros((-(-depth.shape[0] // EDGE_BLOCK), -(-depth.shape[1] // EDGE_BLOCK)), np.bool_)
-        silhouettes(depth, int(min(np.ceil(farthest_px), MARGIN) - 1) // EDGE_BLOCK + 1, blocks)
+        silhouettes(depth, int(min(np.ceil(farthest_px), MARGIN)) // EDGE_BLOCK + 1, blocks)
     cells = (model.patch_px, model.patch_px, model.patch_px, model.wave_px, model.hole_px)
     used = (
         model.patch_px > 1,
@@ -180,7 +180,7 @@ def sense(
         out[box],
     )
     if model.blend > 0:
-        blend(out[box].copy(), model.blend, seed + 4, out[box])
+        blend(out.copy(), model.blend, seed + 4, out)
     return out
 
 

@@ -93,7 +93,7 @@ _KINECT2 = SensorModel(
 _AZURE = dataclasses.replace(
     _KINECT2,
     range_m=(0.5, 3.86),
-    axial_m=(0.0006, 0.0001, 0.0003),
+    axial_m=(0.0006, 0.0, 0.00015),
     lost_px=(1.2, 1.2),
     flying=0.04,
     reach_m=8.0,
