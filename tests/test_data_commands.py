@@ -18,6 +18,7 @@ from depthmocap.evaluate.ubc3v import Ubc3vEvaluation, evaluate_ubc3v
 from depthmocap.pose.ridge import RidgeBank
 from depthmocap.pose.train import PoseTraining, train_pose
 from depthmocap.synth.generate import SynthSettings, generate
+from depthmocap.synth.sample import Recipe
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +26,7 @@ def root(body_model, tmp_path_factory):
     """A UBC3V root with a few samples of hard-pose in each split."""
     path = tmp_path_factory.mktemp("ubc3v")
     for split, count in (("train", 24), ("valid", 2), ("test", 4)):
-        generate(SynthSettings(path, "hard", split, samples=count, seed=3))
+        generate(SynthSettings(path, Recipe("hard", split), samples=count, seed=3))
     return path
 
 
@@ -52,7 +53,7 @@ def test_synth_writes_what_is_read_back(root):
 
 
 def test_synth_is_deterministic_and_resumes(body_model, tmp_path):
-    settings = SynthSettings(tmp_path / "a", "easy", "valid", samples=3, views=1, seed=5)
+    settings = SynthSettings(tmp_path / "a", Recipe("easy", "valid", views=1), samples=3, seed=5)
     generate(dataclasses.replace(settings, samples=1))
     generate(settings)
     generate(dataclasses.replace(settings, out=tmp_path / "b"))
