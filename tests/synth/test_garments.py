@@ -215,7 +215,7 @@ def test_an_open_jacket_shows_what_is_beneath(default_body: Body) -> None:
 
 
 def test_folds_deepen_where_the_body_bends(default_body: Body) -> None:
-    smooth = Garment("sweater", 0.01, slack_m=0.02, sag=0.0, folds_m=0.0, sleeve=2.0)
+    smooth = Garment("sweater", 0.01, slack_m=0.02, sag=0.0, folds_m=0.0, hem=0.1, sleeve=2.0)
     creased = dataclasses.replace(smooth, folds_m=0.006)
     bent = posture(forearm_L=(-1.3, 0, -1.1))  # the elbow, by 100°
     depths = []

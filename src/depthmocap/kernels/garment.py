@@ -56,11 +56,10 @@ def edge_lengths(points, starts, neighbours):
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def spanned(points, normals, starts, neighbours, count, rounds):
-    """How far (metres, along the normal) a taut cloth would be off each of the first ``count`` vertices: above hollows,
-    and below bumps; 0 for the others.
+def taut(points, starts, neighbours, count, rounds):
+    """A taut cloth over the first ``count`` points of a mesh: above hollows and below bumps; the others stay.
 
-    The cloth is the mesh after some rounds of moving every vertex to the mean of its neighbours.
+    Every point moves to the mean of its neighbours, some (even) number of rounds.
     """
     old, new = points.copy(), points.copy()
     for _ in range(rounds):
@@ -75,14 +74,7 @@ def spanned(points, normals, starts, neighbours, count, rounds):
             share = np.float32(1) / max(last - first, 1)
             new[v, 0], new[v, 1], new[v, 2] = x * share, y * share, z * share
         old, new = new, old
-    out = np.zeros(points.shape[0], np.float32)
-    for v in range(count):
-        out[v] = (
-            (old[v, 0] - points[v, 0]) * normals[v, 0]
-            + (old[v, 1] - points[v, 1]) * normals[v, 1]
-            + (old[v, 2] - points[v, 2]) * normals[v, 2]
-        )
-    return out
+    return old
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
@@ -139,8 +131,8 @@ def rings(level, metres, azimuth, slant, wander, patches, trunk, waves, out):
     """Add folds that run around limbs and trunk, where ``level`` is not far outside.
 
     The first ``trunk`` vertices are the trunk's. A row of ``waves``: wave number on limbs and on the trunk (radians a
-    metre), turns around the limb, phase. Ridges are narrower than the valleys between them; where ``patches`` is low,
-    cloth lies smooth.
+    metre), turns around a limb (twice as many around the trunk), phase. Ridges are narrower than the valleys between
+    them; where ``patches`` is low, cloth lies smooth.
     """
     for v in range(level.shape[0]):
         if level[v] < np.float32(-0.1):
@@ -148,8 +140,8 @@ def rings(level, metres, azimuth, slant, wander, patches, trunk, waves, out):
         total = np.float32(0)
         for i in range(waves.shape[0]):
             share = min(max(np.float32(0.3) + np.float32(0.8) * patches[i, v], np.float32(0)), np.float32(1))
-            number = waves[i, 1] if v < trunk else waves[i, 0]
-            phase = number * metres[v] + waves[i, 2] * slant[v] * azimuth[v] + wander[v] + waves[i, 3]
+            number, turns = (waves[i, 1], 2 * waves[i, 2]) if v < trunk else (waves[i, 0], waves[i, 2])
+            phase = number * metres[v] + turns * slant[v] * azimuth[v] + wander[v] + waves[i, 3]
             total += share * share * (3 - 2 * share) * (1 - np.float32(1.6) * abs(np.sin(np.float32(0.5) * phase)))
         out[v] = total
 
@@ -198,13 +190,18 @@ def hang(height, azimuth, radius, step, decay, columns):
                 widest[row, column] = max(widest[row, column], chord)
     out = np.empty_like(radius)
     for v in range(height.shape[0]):
-        # A vertex lies between two columns and two rows; what is above it holds the cloth.
-        row = max(int((top - height[v]) / step) - 1, 0)
+        # Between the middles of two rows and two columns.
+        down = max((top - height[v]) / step - np.float32(0.5), np.float32(0))
+        row = int(down)
+        lower, below = down - row, min(row + 1, rows - 1)
         at = (azimuth[v] + np.pi) * turn - np.float32(0.5)
         column = int(np.floor(at))
         share = at - column
-        a, b = widest[row, column % columns], widest[row, (column + 1) % columns]
-        out[v] = max((1 - share) * a + share * b - decay * step - radius[v], np.float32(0))
+        column, following = column % columns, (column + 1) % columns
+        high = (1 - share) * widest[row, column] + share * widest[row, following]
+        low = (1 - share) * widest[below, column] + share * widest[below, following]
+        # The widest of a cell is a little wider than the skin in its middle.
+        out[v] = max((1 - lower) * high + lower * low - radius[v] - np.float32(0.003), np.float32(0))
     return out
 
 

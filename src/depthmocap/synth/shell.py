@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from depthmocap.body.model import Body, BoneTransforms
-from depthmocap.kernels.garment import between, compression, cut, edge_lengths, hang, pose_skin, rings, spanned, wear
+from depthmocap.kernels.garment import between, compression, cut, edge_lengths, hang, pose_skin, rings, taut, wear
 from depthmocap.kernels.skin import vertex_normals
 from depthmocap.synth.cloth_map import ARM_M, LEG_M, SECTIONS, Anchors, ClothMap
 from depthmocap.synth.wardrobe import SKIRT_LINE_M, Garment, Hair, Shoes
@@ -29,8 +29,8 @@ _OFF = np.float32(-1.0)
 class RestCloth:
     """A body's skin in the rest pose, where clothes go.
 
-    ``span`` is how far a taut cloth would be off the skin (see ``kernels.garment.spanned``), ``scale`` the body's
-    stature over the default's.
+    ``normals`` are those of a taut cloth over it, and ``span`` how far that is off the skin, negative where it would
+    cut bumps off (see ``kernels.garment.taut``); ``scale`` is the body's stature over the default's.
     """
 
     cloth: ClothMap
@@ -46,10 +46,12 @@ class RestCloth:
         """The rest skin of a body."""
         cloth = ClothMap.of(body.model)
         points = body.rest_vertices[cloth.vertices]
+        over = taut(points, cloth.starts, cloth.neighbours, cloth.trunk.stop, 14)
+        # Cloth leaves the skin the way it faces itself: in a hollow the skin's own normals cross.
         normals = np.empty_like(points)
-        vertex_normals(points, cloth.faces, normals)
+        vertex_normals(over, cloth.faces, normals)
+        span = ((over - points) * normals).sum(1)
         lengths = edge_lengths(points, cloth.starts, cloth.neighbours)
-        span = spanned(points, normals, cloth.starts, cloth.neighbours, cloth.trunk.stop, 10)
         scale = float(np.ptp(body.rest_vertices[:, 2])) / cloth.stature
         line = cloth.skirt
         centre_y = float((points[line.first, 1].max() + points[line.first, 1].min()) / 2)
@@ -176,9 +178,12 @@ def _air(rest: RestCloth, garment: Garment) -> Float[ndarray, "n"]:
     top = _CARRIED_M if garment.top is None else garment.top
     low = slice(0, int(np.searchsorted(cloth.height[cloth.trunk], top)))
     free = np.clip((0.3 - cloth.armness[low]) / 0.25, 0, 1)
-    radius = np.hypot(points[low, 0], points[low, 1] - rest.centre_y)
+    away = points[low, :2] - np.array([0, rest.centre_y], np.float32)
+    radius = np.hypot(away[:, 0], away[:, 1])
     fall(low, points[low, 2], radius * (free > 0), decay if garment.top is None else 3.0)
-    air[low] *= free * _smooth((_CARRIED_M - cloth.height[low]) / 0.12)
+    # Skin that faces inwards or down, between the legs, has no cloth before it.
+    facing = np.clip((away * rest.normals[low, :2]).sum(1) / radius, 0, 1)
+    air[low] *= free * facing**2 * _smooth((_CARRIED_M - cloth.height[low]) / 0.12)
     if garment.leg:
         for part, side in ((cloth.left_leg, "L"), (cloth.right_leg, "R")):
             # Away from a broken line down the leg.
@@ -197,12 +202,12 @@ def _folds(
     """Signed height of folds (metres): slanting rings along limbs and trunk, and drapes that widen to the hem."""
     wander, *patches = rng.choice(len(cloth.coarse), 3, replace=False)
     waves = [
-        (2 * np.pi / rng.uniform(0.06, 0.12), 2 * np.pi / rng.uniform(0.08, 0.17), turns, rng.uniform(0, 2 * np.pi))
+        (2 * np.pi / rng.uniform(0.06, 0.12), 2 * np.pi / rng.uniform(0.11, 0.25), turns, rng.uniform(0, 2 * np.pi))
         for turns in rng.choice((-2, -1, 1, 2), 2)
     ]
     folds = np.zeros(len(level), np.float32)
     rings(
-        level, cloth.metres, cloth.azimuth, cloth.slant, np.float32(2.5) * cloth.coarse[wander],
+        level, cloth.metres, cloth.azimuth, cloth.slant, np.float32(1.8) * cloth.coarse[wander],
         cloth.coarse[patches], cloth.trunk.stop, np.array(waves, np.float32), folds,
     )  # fmt: skip
     # A skirt's folds are those of what hangs.
@@ -211,6 +216,8 @@ def _folds(
         trunk = cloth.trunk
         phase = rng.integers(4, 10) * cloth.azimuth[trunk] + cloth.coarse[wander, trunk] + rng.uniform(0, 2 * np.pi)
         low = 1 - (cloth.height[trunk] - garment.hem) / 0.35
+        # The chest holds cloth taut; it gathers below.
+        folds[trunk] *= 0.35 + 0.65 * _smooth((0.55 - cloth.height[trunk]) / 0.3)
         folds[trunk] += 0.4 * garment.slack_m * np.cos(phase) * _smooth(low)
     # Limbs fold at elbows and knees, and long trousers over the foot.
     for part in (cloth.arm, cloth.leg):
