@@ -77,33 +77,64 @@ def grow_cover(points, radius, cover, count, table, following, kept, limit):
 
 
 @numba.njit(cache=True, nogil=True)
-def pick_farthest(points, allowed, nearest2, owner, picks, count, target):
+def _box_reaches(point, low, high, reach2):
+    """Whether anything in a box of points can be nearer to a point than this."""
+    for j in range(point.shape[0] - 1, -1, -1):
+        d2 = np.float32(0)
+        for k in range(3):
+            out = max(low[j, k] - point[j, k], point[j, k] - high[j, k])
+            if out > 0:
+                d2 += out * out
+        if d2 >= reach2:
+            return False
+    return True
+
+
+@numba.njit(cache=True, nogil=True)
+def pick_farthest(points, starts, low, high, allowed, nearest2, picks, count, target):
     """Go on picking the point furthest from all picks, among those allowed, until there are ``target`` picks.
 
-    ``nearest2`` is every point's squared distance to its nearest pick (start with infinity, picks below zero) and
-    ``owner`` that pick's place in ``picks``. A pick that is twice as far from a point's owner as the point cannot be
-    nearer to it (the triangle inequality), which spares most distances. Returns the number of picks, and the squared
-    distance of the farthest allowed point that is left (−1: none).
+    Points lie in blocks (``starts``, one more than blocks) with bounding boxes, so that a new pick looks only at blocks
+    it can come near to. ``nearest2`` is every point's squared distance to its nearest pick (start with infinity; picks
+    are −1). Returns the number of picks, and the squared distance of the farthest allowed point left (−1: none).
     """
-    to_picks2 = np.empty(picks.shape[0], np.float32)
+    blocks = starts.shape[0] - 1
+    reach2 = np.full(blocks, np.float32(-1))
+    best2 = np.full(blocks, np.float32(-1))
+    for b in range(blocks):
+        for i in range(starts[b], starts[b + 1]):
+            reach2[b] = max(reach2[b], nearest2[i])
+            if allowed[i]:
+                best2[b] = max(best2[b], nearest2[i])
     while True:
-        best, best2, reach2 = -1, np.float32(-1), np.float32(0)
-        for i in range(points.shape[0]):
-            if nearest2[i] > best2 and allowed[i]:
-                best, best2 = i, nearest2[i]
-            if nearest2[i] > reach2:
-                reach2 = nearest2[i]
-        if best < 0 or count >= target:
-            return count, best2
-        for p in range(count):
-            to_picks2[p] = _apart2(points[best], points[picks[p]], np.float32(4) * reach2)
-        for i in range(points.shape[0]):
-            d2 = nearest2[i]
-            if d2 > 0 and (count == 0 or to_picks2[owner[i]] < np.float32(4) * d2):
-                new2 = _apart2(points[best], points[i], d2)
-                if new2 < d2:
-                    nearest2[i] = new2
-                    owner[i] = count
+        block = np.argmax(best2)
+        if best2[block] < 0 or count >= target:
+            return count, best2[block]
+        best = starts[block]
+        while not (allowed[best] and nearest2[best] == best2[block]):
+            best += 1
         nearest2[best] = np.float32(-1)
         picks[count] = best
         count += 1
+        for b in range(blocks):
+            if b != block and not _box_reaches(points[best], low[b], high[b], reach2[b]):
+                continue
+            reach2[b], best2[b] = np.float32(-1), np.float32(-1)
+            for i in range(starts[b], starts[b + 1]):
+                if nearest2[i] > 0:
+                    nearest2[i] = min(nearest2[i], _apart2(points[best], points[i], nearest2[i]))
+                reach2[b] = max(reach2[b], nearest2[i])
+                if allowed[i]:
+                    best2[b] = max(best2[b], nearest2[i])
+
+
+@numba.njit(cache=True, nogil=True)
+def nearest_distances(points, others, out):
+    """Distance of every point to the nearest of the others."""
+    for i in range(points.shape[0]):
+        best2 = np.float32(np.inf)
+        for k in range(others.shape[0]):
+            d2 = _apart2(points[i], others[k], best2)
+            if d2 < best2:
+                best2 = d2
+        out[i] = np.sqrt(best2)

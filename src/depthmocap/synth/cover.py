@@ -14,8 +14,8 @@ from depthmocap.synth.postures import joint_positions
 
 #: When the cover is full its radius grows by this: the doubling algorithm of streaming k-centre in smaller steps.
 _GROWTH = 1.2
-#: Picks between two reports of progress.
-_BLOCK = 200
+#: Picks between two reports of progress, and postures in a block of neighbours.
+_BLOCK, _LEAF = 500, 48
 
 
 class Cover:
@@ -97,13 +97,31 @@ def farthest_points(
         Indices in the order of picking, and the distance of the posture that would have been next (metres): every
         posture of the last stage is at least this near to a pick; 0 when none is left.
     """
-    nearest2 = np.full(len(ends), np.inf, np.float32)
-    owner = np.zeros(len(ends), np.int32)
+    order, starts = _blocks(ends)
+    points = ends[order]
+    low, high = np.minimum.reduceat(points, starts[:-1]), np.maximum.reduceat(points, starts[:-1])
+    nearest2 = np.full(len(points), np.inf, np.float32)
     picks = np.empty(max([0, *(target for _, target in stages)]), np.int64)
     count, left2 = 0, 0.0
     for allowed, target in stages:
         left2 = np.inf
         while count < target and left2 >= 0:
-            count, left2 = pick_farthest(ends, allowed, nearest2, owner, picks, count, min(count + _BLOCK, target))
+            step = min(count + _BLOCK, target)
+            count, left2 = pick_farthest(points, starts, low, high, allowed[order], nearest2, picks, count, step)
             progress(count)
-    return picks[:count], float(np.sqrt(max(left2, 0.0)))
+    return order[picks[:count]], float(np.sqrt(max(left2, 0.0)))
+
+
+def _blocks(ends: Float[ndarray, "n 20 3"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "b"]]:
+    """An order in which neighbours lie together, halved at the widest coordinate down to blocks, and their starts."""
+    leaves: list[ndarray] = []
+    stack = [np.arange(len(ends))]
+    while stack:
+        part = stack.pop()
+        if len(part) <= _LEAF:
+            leaves.append(part)
+            continue
+        flat = ends[part].reshape(len(part), -1)
+        halves = np.argpartition(flat[:, np.ptp(flat, axis=0).argmax()], len(part) // 2)
+        stack += [part[halves[: len(part) // 2]], part[halves[len(part) // 2 :]]]
+    return np.concatenate(leaves), np.cumsum([0, *map(len, leaves)])
