@@ -16,7 +16,6 @@ import pytest
 from rich.console import Console
 
 from depthmocap import InputError
-from depthmocap.body.model import BodyModel
 from depthmocap.cli import main
 from depthmocap.datasets.shards import ShardReader, ShardWriter
 from depthmocap.datasets.ubc3v import Section, kinect2_camera, sections
@@ -47,13 +46,12 @@ def made_up(recipe: Recipe, seed: int, index: int, roll_rad: float = 0.0) -> Sam
 
 
 @pytest.fixture(autouse=True)
-def quick(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("depthmocap.synth.card._charts", lambda rows: [])
     monkeypatch.setattr(units, "_FRAMES_PER_UNIT", 2)
     monkeypatch.setattr(units, "SAMPLES_PER_SHARD", 3)
     monkeypatch.setattr("depthmocap.datasets.ubc3v_write._SAVE_EVERY_S", 0.0)
-    if "body_model" not in request.fixturenames:
-        monkeypatch.setattr(units, "draw", made_up)
+    monkeypatch.setattr(units, "draw", made_up)
 
 
 def run(out: Path, layout: str = "ubc3v", samples: int = 7, **options) -> Path:
@@ -201,24 +199,32 @@ def test_numbers_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 
 SCRIPT = """
-import sys
+import sys, time
+sys.path.insert(0, {tests!r})
 from depthmocap.cli import main
 from depthmocap.synth import units
-units._FRAMES_PER_UNIT, units.SAMPLES_PER_SHARD = 2, 3
+from test_generate import made_up
+
+def slow(*arguments):
+    time.sleep(0.05)
+    return made_up(*arguments)
+
+units.draw, units._FRAMES_PER_UNIT, units.SAMPLES_PER_SHARD = slow, 2, 3
+import depthmocap.datasets.ubc3v_write as write
+write._SAVE_EVERY_S = 0.0
 if __name__ == "__main__":
     main(sys.argv[1:])
 """
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_a_killed_run_goes_on(body_model: BodyModel, tmp_path: Path, layout: str) -> None:
-    recipe = Recipe(subset="easy", split="test", views=1)
+def test_a_killed_run_goes_on(tmp_path: Path, layout: str) -> None:
     script = tmp_path / "main.py"
-    script.write_text(SCRIPT)
+    script.write_text(SCRIPT.format(tests=str(Path(__file__).parent)))
     command = [sys.executable, str(script), "synth", "--out", str(tmp_path / "parts"), "--samples", "40"]
-    command += ["--subset", "easy", "--split", "test", "--views", "1", "--format", layout, "--workers", "0"]
+    command += ["--subset", "easy", "--split", "valid", "--views", "2", "--format", layout, "--workers", "0"]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-    folder = tmp_path / "parts/easy-pose/test"
+    folder = tmp_path / "parts/easy-pose/valid"
     sign = "1/images/depthRender/Cam1/*5.png" if layout == "ubc3v" else "*1.tar"
     deadline = time.monotonic() + 60
     while not list(folder.glob(sign)):
@@ -228,5 +234,4 @@ def test_a_killed_run_goes_on(body_model: BodyModel, tmp_path: Path, layout: str
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert not (folder / "card.json").exists()
-    run(tmp_path / "parts", layout, 40, recipe=recipe)
-    assert tree(folder) == tree(run(tmp_path / "whole", layout, 40, recipe=recipe))
+    assert tree(run(tmp_path / "parts", layout, 40)) == tree(run(tmp_path / "whole", layout, 40))
