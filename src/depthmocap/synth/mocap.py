@@ -151,7 +151,9 @@ class ClipFolder:
         Raises:
             InputError: no directory, no clip in it, or a manifest without these columns.
         """
-        files = sorted(path for suffix in _SUFFIXES for path in directory.glob(f"*{suffix}"))
+        # Of two files of one clip the BVH comes first: it needs no other file.
+        files = [path for suffix in _SUFFIXES for path in directory.glob(f"*{suffix}")]
+        files.sort(key=lambda path: (path.stem, _SUFFIXES.index(path.suffix)))
         if not files:
             raise InputError(f"{directory}: no .bvh or .amc files; give a folder of motion capture clips")
         descriptions: dict[str, str] = {}
