@@ -12,11 +12,12 @@ from depthmocap.body.regions import REGION, UNLABELLED
 from depthmocap.classify import data
 from depthmocap.classify.data import Spoiling, training_window
 from depthmocap.classify.preprocess import WINDOW
+from depthmocap.errors import InputError
 from depthmocap.synth.postures import TRAINING_VARIATION, PosturePrior
-from depthmocap.synth.sample import Sensor
+from depthmocap.synth.sensors import SENSORS
 
 OFTEN = Spoiling()
-NEVER = Spoiling(truncate=0.0, occlude=0.0, floor=0.0)
+NEVER = Spoiling(truncate=0.0, scene=0.0, floor=0.0, occlude=0.0, erode=0.0)
 
 
 def window(index: int, spoiling: Spoiling | None = OFTEN, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -39,10 +40,8 @@ def test_contents(windows: list[tuple[np.ndarray, np.ndarray]]) -> None:
         assert np.abs(inputs[0]).max() <= 2
         assert not inputs[0][inputs[1] == 0].any()
         assert np.ptp(inputs[2]) == 0
-        # The pixels that are learnt from: of the person, and with a label.
-        learnt = (inputs[1] > 0) & (labels != UNLABELLED)
-        assert np.count_nonzero(learnt) > 200
-        assert np.count_nonzero(learnt) > 0.6 * np.count_nonzero(inputs[1])
+        # The pixels that are learnt from: in the mask, and with a label.
+        assert np.count_nonzero((inputs[1] > 0) & (labels != UNLABELLED)) > 80
     seen = np.unique(np.concatenate([labels.ravel() for _, labels in windows]))
     assert len(seen) > 40
 
@@ -55,22 +54,34 @@ def test_depends_on_seed_and_index_alone(windows: list[tuple[np.ndarray, np.ndar
     assert (windows[4][1] != windows[3][1]).any()
 
 
-def test_only_floor_is_known_background(body_model: BodyModel) -> None:
+def _share(spoiling: Spoiling | None, label: int) -> float:
+    """Share of a label in the masks of some windows."""
+    drawn = [window(index, spoiling) for index in range(12)]
+    return float(np.mean([(labels[inputs[1] > 0] == label).mean() for inputs, labels in drawn]))
+
+
+def test_floor_beside_the_feet_is_background(body_model: BodyModel) -> None:
     feet = [REGION[f"{part} {side}"] for part in ("ankle", "forefoot") for side in "RL"]
-    always_floor = dataclasses.replace(NEVER, floor=1.0)
-    found = 0
-    for index in range(12):
-        inputs, labels = window(index, always_floor)
-        floor = (labels == 0) & (inputs[1] > 0)
-        found += bool(floor.any())
-        if floor.any():  # beside the feet
-            rows = np.nonzero(floor)[0]
-            foot_rows = np.nonzero(np.isin(labels, feet))[0]
-            assert rows.min() > foot_rows.min() - 30
-        for plain in (NEVER, None):
-            _, plain_labels = window(index, plain)
-            assert (plain_labels != 0).all()
-    assert found > 5
+    near = total = 0
+    for index in range(16):
+        inputs, labels = window(index, dataclasses.replace(NEVER, floor=1.0))
+        rows, columns = np.nonzero((labels == 0) & (inputs[1] > 0))
+        foot_rows, foot_columns = np.nonzero(np.isin(labels, feet))
+        if len(rows) and len(foot_rows):
+            apart = np.hypot(rows[:, None] - foot_rows, columns[:, None] - foot_columns).min(1)
+            near += np.count_nonzero(apart < 30)
+            total += len(rows)
+    assert total > 200 and near > 0.5 * total  # the rest is wide clothes
+
+
+def test_things_and_wide_clothes_are_background(body_model: BodyModel) -> None:
+    wide = _share(None, 0)
+    assert 0 < wide < 0.1
+    assert _share(dataclasses.replace(NEVER, scene=1.0, objects=1.0, second=1.0), 0) > wide + 0.02
+
+
+def test_what_a_little_cloth_covers_is_not_known(body_model: BodyModel) -> None:
+    assert 0.01 < _share(None, UNLABELLED) < 0.25
 
 
 def test_occlusion_takes_pixels_from_the_mask(body_model: BodyModel) -> None:
@@ -78,22 +89,23 @@ def test_occlusion_takes_pixels_from_the_mask(body_model: BodyModel) -> None:
 
     def hidden(spoiling: Spoiling) -> float:
         """Share of the person's labelled pixels that are not in the mask."""
-        drawn = [window(index, spoiling) for index in range(10)]
+        drawn = [window(index, spoiling) for index in range(16)]
         return float(
             np.mean([(inputs[1][(labels != UNLABELLED) & (labels != 0)] == 0).mean() for inputs, labels in drawn])
         )
 
-    assert hidden(occluded) > hidden(NEVER) + 0.02
+    assert hidden(occluded) > hidden(NEVER) + 0.01  # the sensor loses more, but the same in both
 
 
 def test_truncation_cuts_bodies_off(body_model: BodyModel) -> None:
     def missing(spoiling: Spoiling) -> float:
-        return float(np.mean([43 - len(np.unique(window(index, spoiling)[1])) for index in range(12)]))
+        return float(np.mean([43 - len(np.unique(window(index, spoiling)[1])) for index in range(24)]))
 
     assert missing(dataclasses.replace(NEVER, truncate=1.0)) > missing(NEVER) + 2
 
 
 def test_nobody_in_view(body_model: BodyModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(data, "_SENSORS", (Sensor(16, 12, 11.0, 11.0, 8.0, 6.0),))  # too few pixels for anyone
-    with pytest.raises(RuntimeError, match=r"no body in view in 20 attempts \(seed 5, index 9\)"):
+    small = dataclasses.replace(SENSORS["itop"], width=16, height=12, fx=11.0, fy=11.0, cx=8.0, cy=6.0)
+    monkeypatch.setattr(data, "random_preset", lambda rng: small)  # too few pixels for anyone
+    with pytest.raises(InputError, match=r"no person could be drawn in 20 tries \(seed 5, index 9\)"):
         window(9, seed=5)

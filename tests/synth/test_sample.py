@@ -2,31 +2,36 @@
 
 from __future__ import annotations
 
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 
 from depthmocap.body.model import BodyModel
+from depthmocap.errors import InputError
 from depthmocap.geometry import is_rigid, transform_points
+from depthmocap.synth.bodies import random_dressed
 from depthmocap.synth.postures import PosturePrior
 from depthmocap.synth.sample import (
-    KINECT2,
+    ANY_SENSOR,
+    BENCH,
     CameraRange,
+    Recipe,
     Sample,
-    Sensor,
+    Sampler,
     Subset,
     draw_sample,
-    random_body,
     random_camera,
 )
-from depthmocap.synth.sensor import SensorNoise
+from depthmocap.synth.sensors import HELD_OUT_SENSOR, SENSORS
+from depthmocap.synth.wardrobe import HELD_OUT_FAMILY
 
-SMALL = Sensor(256, 212, 184.4, 184.0, 126.6, 102.6)
+KINECT2 = SENSORS["ubc3v"]
 
 
-def draw(seed: int, subset: Subset = "open", **options: object) -> Sample:
-    return draw_sample(np.random.default_rng(seed), subset, PosturePrior.load(), sensor=SMALL, **options)  # type: ignore[arg-type]
+def draw(seed: int, subset: Subset = "open", **options: Any) -> Sample:
+    recipe = Recipe(subset, **options)
+    return draw_sample(np.random.default_rng(seed), recipe, PosturePrior.load())
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +41,7 @@ def samples(body_model: BodyModel) -> list[Sample]:
 
 def test_cameras_stand_within_the_range(body_model: BodyModel) -> None:
     rng = np.random.default_rng(0)
-    posed = random_body(rng, "easy", body_model).pose(PosturePrior.load().sample(rng)[0])
+    posed = random_dressed(rng, "easy").pose(PosturePrior.load().sample(rng)[0]).body
     low, high = posed.vertices.min(0).astype(float), posed.vertices.max(0).astype(float)
     centre = (low + high) / 2
     places = CameraRange()
@@ -62,7 +67,7 @@ def test_cameras_stand_within_the_range(body_model: BodyModel) -> None:
 
 def test_cameras_may_roll(body_model: BodyModel) -> None:
     rng = np.random.default_rng(1)
-    posed = random_body(rng, "easy", body_model).pose(PosturePrior.load().sample(rng)[0])
+    posed = random_dressed(rng, "easy").pose(PosturePrior.load().sample(rng)[0]).body
     rolls = [
         np.arcsin(random_camera(rng, posed, CameraRange(aim_m=0.0, roll_rad=0.1), KINECT2, "c").world_from_camera[2, 0])
         for _ in range(100)
@@ -77,8 +82,10 @@ def test_views_of_a_sample(samples: list[Sample]) -> None:
         for view in sample.views:
             assert view.mask is not None
             assert view.labels is not None
-            np.testing.assert_array_equal(view.labels > 0, view.depth_m > 0)
             np.testing.assert_array_equal(view.mask, view.depth_m > 0)
+            assert not (view.labels[~view.mask] > 0).any()
+            # Only cloth and hair that reach over the skin's outline have no label.
+            assert np.count_nonzero(view.labels) > 0.5 * np.count_nonzero(view.mask)
             assert view.labels.max() <= 43
             assert np.count_nonzero(view.mask) > 500
 
@@ -119,25 +126,106 @@ def test_samples_depend_on_the_generator_alone(samples: list[Sample]) -> None:
     assert np.abs(again.joints - samples[4].joints).max() > 0.05
 
 
-def test_noise_keeps_masks_and_labels_exact(samples: list[Sample]) -> None:
-    noisy = draw(3, noise=SensorNoise(), views=1)
-    (view,), exact = noisy.views, samples[3].views[0]
-    assert view.mask is not None
-    assert exact.mask is not None
+def test_noise_keeps_labels_exact(samples: list[Sample]) -> None:
+    noisy = draw(3, noise="sensor", sensors=("kinect2",))
+    same = draw(3, sensors=("kinect2",))
+    view, exact = noisy.views[0], same.views[0]
+    assert view.mask is not None and exact.mask is not None
     np.testing.assert_array_equal(view.mask, view.depth_m > 0)
     np.testing.assert_array_equal(view.labels, exact.labels)
     assert not (view.mask & ~exact.mask).any()
-    assert 0.75 < np.count_nonzero(view.mask) / np.count_nonzero(exact.mask) < 1
+    assert 0.6 < np.count_nonzero(view.mask) / np.count_nonzero(exact.mask) < 1
     difference = np.abs(view.depth_m - exact.depth_m)[view.mask]
-    assert 0 < np.median(difference) < 0.01
+    assert 0 < np.median(difference) < 0.02
 
 
 def test_subsets(body_model: BodyModel) -> None:
     def bodies(subset: Subset) -> set[bytes]:
-        return {random_body(np.random.default_rng(i), subset, body_model).rest_vertices.tobytes() for i in range(24)}
+        return {random_dressed(np.random.default_rng(i), subset).body.rest_vertices.tobytes() for i in range(24)}
 
     counts = {subset: len(bodies(subset)) for subset in get_args(Subset)}
     assert counts["easy"] == counts["inter"] == 1
     assert 8 <= counts["hard"] <= 16
     assert counts["open"] == 24
     assert bodies("easy") == bodies("inter")
+
+
+def test_sensors_of_a_recipe(body_model: BodyModel) -> None:
+    assert Recipe(sensors=("kinect2", "itop")).presets == (SENSORS["kinect2"], SENSORS["itop"])
+    assert SENSORS[HELD_OUT_SENSOR] not in Recipe(sensors=(ANY_SENSOR,)).presets
+    sizes = {
+        (view.camera.width, view.camera.height)
+        for seed in range(4)
+        for view in draw(seed, sensors=("kinect2", "itop")).views
+    }
+    assert sizes == {(512, 424), (320, 240)}
+
+
+def test_scenes_are_background(body_model: BodyModel) -> None:
+    for seed in range(3):
+        for view in draw(seed, scene="full").views:
+            assert view.mask is not None and view.labels is not None
+            assert (view.depth_m > 0).mean() > 0.5  # floor and walls
+            assert not (view.labels[~view.mask] > 0).any()
+            assert 0 < view.mask.mean() < 0.5
+
+
+def test_truncated_views_end_within_the_person(body_model: BodyModel) -> None:
+    def on_the_border(truncated: float) -> float:
+        cameras = CameraRange(truncated=truncated)
+        masks = [view.mask for seed in range(6) for view in draw(seed, cameras=cameras).views]
+        edges = [np.concatenate([m[0], m[-1], m[:, 0], m[:, -1]]).any() for m in masks if m is not None]
+        return float(np.mean(edges))
+
+    assert on_the_border(1.0) > on_the_border(0.0) + 0.2
+
+
+def test_held_out_clothes(body_model: BodyModel) -> None:
+    for subset in get_args(Subset):
+        for i in range(12):
+            for held_out in (False, True):
+                dressed = random_dressed(np.random.default_rng(i), subset, held_out)
+                assert any(g.family == HELD_OUT_FAMILY for g in dressed.clothes.garments) == held_out
+
+
+def test_sampler_depends_on_seed_and_index(body_model: BodyModel) -> None:
+    recipe = BENCH["seen"]
+    assert recipe.split == "test" and BENCH["new clothes"].held_out_clothes
+    assert BENCH["new sensor"].presets == (SENSORS[HELD_OUT_SENSOR],)
+    first, again, other = (Sampler(recipe, seed)(5) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first.joints, again.joints)
+    np.testing.assert_array_equal(first.views[2].depth_m, again.views[2].depth_m)
+    assert np.abs(first.joints - other.joints).max() > 0.05
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"views": 0}, "--views must be at least 1"),
+        ({"sensors": ("kinetc2",)}, "no sensor 'kinetc2': expected one of kinect1, kinect2"),
+        ({"sensors": ()}, "--sensors must name at least one"),
+    ],
+)
+def test_recipes_that_cannot_be(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Recipe(**options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"distance_m": (3.0, 2.0)}, "distance_m must be a minimum and a maximum, got 3.0 and 2.0"),
+        ({"height_m": (0.0, float("nan"))}, "height_m must be a minimum and a maximum"),
+        ({"distance_m": (0.1, 2.0)}, "distance_m must be at least 0.5"),
+        ({"truncated": 1.5}, "truncated must be 0 to 1"),
+    ],
+)
+def test_cameras_that_cannot_be(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        CameraRange(**options)
+
+
+def test_nobody_in_range(body_model: BodyModel) -> None:
+    far = Recipe(views=1, sensors=("azure-wfov",), noise="sensor", cameras=CameraRange(distance_m=(30.0, 31.0)))
+    with pytest.raises(InputError, match="sample 2: no camera sees the person in 20 tries"):
+        Sampler(far, 0)(2)

@@ -3,98 +3,190 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import TypeAlias
 
 import cv2
 import numpy as np
+from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
-from depthmocap.body.model import BodyModel, PosedBody
 from depthmocap.body.regions import REGION, UNLABELLED
 from depthmocap.classify.preprocess import make_window
+from depthmocap.errors import InputError
 from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.synth.bodies import random_dressed
 from depthmocap.synth.postures import PostureSource
-from depthmocap.synth.render import render_body
-from depthmocap.synth.sample import KINECT2, CameraRange, Sensor, Subset, random_body, random_camera
-from depthmocap.synth.sensor import apply_noise, random_noise
+from depthmocap.synth.render import Material, PosedPerson, Rendering, render_person
+from depthmocap.synth.sample import CameraRange, Subset, random_camera
+from depthmocap.synth.scene import TRAINING, random_scene, render_scene
+from depthmocap.synth.sensor import sense
+from depthmocap.synth.sensors import random_model, random_preset
 
-#: Kinect 2, Azure Kinect narrow (binned), PrimeSense, RealSense; the picture's scale is what matters here.
-_SENSORS = (
-    KINECT2,
-    Sensor(320, 288, 252.0, 252.0, 160.0, 144.0),
-    Sensor(320, 240, 285.0, 285.0, 160.0, 120.0),
-    Sensor(424, 240, 213.0, 213.0, 212.0, 120.0),
-)
-_PLACES = CameraRange(distance_m=(1.2, 4.5), height_m=(0.2, 2.8), aim_m=0.1, roll_rad=0.06)
+_PLACES = CameraRange(distance_m=(1.2, 4.5), height_m=(0.1, 3.0), aim_m=0.1, roll_rad=0.06)
 _FEET = np.isin(np.arange(44), [REGION[f"{part} {side}"] for part in ("ankle", "forefoot") for side in "RL"])
+#: Fewest labelled pixels of a picture worth training on.
+_FEWEST = 300
+#: Room around the person in the picture that is drawn (pixels): what clings to them or flies beside them.
+_MARGIN = 16
+#: Cloth within this of the skin's outline is not taught as background (metres).
+_HALO_M = 0.05
+
+#: Depth and materials of what is around a person.
+_Background: TypeAlias = tuple[Float[ndarray, "h w"], UInt8[ndarray, "h w"]]
 
 
 @dataclasses.dataclass(frozen=True)
 class Spoiling:
-    """How often a training picture is spoilt in each way."""
+    """How often a training picture is spoilt in each way.
+
+    Attributes:
+        truncate: it ends within the person.
+        scene: things hide the person or are held, worn, or a second person is near.
+        floor: there is a floor, and some of it around the feet is taken for the person.
+        objects: what is held or worn is taken for the person, where there is any.
+        second: a second person is, too.
+        occlude: a bar or a box is cut out.
+        erode: the person loses their outermost pixels.
+    """
 
     truncate: float = 0.12
-    occlude: float = 0.12
-    floor: float = 0.3
-
-
-def _floor_patch(
-    camera: DepthCamera, posed: PosedBody, depth: ndarray, labels: ndarray, rng: np.random.Generator
-) -> None:
-    """Let some floor around the feet into the mask, as background subtraction does."""
-    feet = _FEET[np.where(labels == UNLABELLED, 0, labels)].astype(np.uint8)
-    if not feet.any():
-        return
-    size = int(rng.integers(2, 9))
-    ring = cv2.dilate(feet, np.ones((size, 2 * size), np.uint8)).astype(bool) & (labels == UNLABELLED)
-    rotation, eye = camera.world_from_camera[:3, :3], camera.world_from_camera[:3, 3]
-    floor = float(posed.vertices[:, 2].min()) - 0.005
-    v, u = np.nonzero(ring)
-    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))], -1) @ rotation[2]
-    with np.errstate(divide="ignore"):
-        z = (floor - eye[2]) / rays
-    depth[v, u] = np.where((rays < 0) & (z > 0.2) & (z < 8), z, 0)
-    labels[v, u] = 0
+    scene: float = 0.4
+    floor: float = 0.4
+    objects: float = 0.8
+    second: float = 0.3
+    occlude: float = 0.08
+    erode: float = 0.1
 
 
 def training_window(
     seed: int, index: int, subset: Subset, postures: PostureSource, spoiling: Spoiling | None
-) -> tuple[ndarray, ndarray]:
-    """The ``index``-th window of a seed: inputs (3, s, s) float32 and labels (s, s) uint8, 255 where unknown.
+) -> tuple[Float[ndarray, "3 s s"], UInt8[ndarray, "s s"]]:
+    """The ``index``-th window of a seed: inputs float32 and labels, 255 where unknown.
 
-    Depends on the seed and index alone, so that any number of workers makes the same data.
-    ``spoiling=None`` gives whole, clean-edged bodies with sensor noise, for validation.
+    Depends on the seed and index alone, so that any number of workers makes the same data. ``spoiling=None`` gives
+    well segmented people alone, with the sensor's errors, for validation.
+
+    Raises:
+        InputError: when nobody can be seen however often it is drawn.
     """
     for attempt in range(20):
         rng = np.random.default_rng([seed, index, attempt])
-        model = BodyModel.load()
-        posed = random_body(rng, subset, model).pose(postures.sample(rng)[0])
-        sensor = _SENSORS[rng.integers(len(_SENSORS))]
-        truncate = spoiling is not None and rng.random() < spoiling.truncate
-        places = dataclasses.replace(_PLACES, aim_m=0.7) if truncate else _PLACES
-        camera = random_camera(rng, posed, places, sensor, "camera")
-        depth, labels = render_body(posed, camera)
-        rows, columns = np.flatnonzero(labels.any(1)), np.flatnonzero(labels.any(0))
-        if np.count_nonzero(labels) < 300:
+        person = random_dressed(rng, subset).pose(postures.sample(rng)[0])
+        preset = random_preset(rng)
+        places = dataclasses.replace(_PLACES, truncated=0.0 if spoiling is None else spoiling.truncate)
+        camera = _cropped(random_camera(rng, person.body, places, preset, "camera"), person)
+        if camera is None:
             continue
-        # Around the body nothing is known: jitter makes pixels there read its depth. Floor is known background.
-        labels[labels == 0] = UNLABELLED
-        if spoiling is not None and rng.random() < spoiling.floor:
-            _floor_patch(camera, posed, depth, labels, rng)
-        top, bottom = max(rows[0] - 12, 0), rows[-1] + 13
-        left, right = max(columns[0] - 20, 0), columns[-1] + 21
-        depth = apply_noise(np.ascontiguousarray(depth[top:bottom, left:right]), random_noise(rng), rng)
-        labels = np.ascontiguousarray(labels[top:bottom, left:right])
-        mask = depth > 0
-        if spoiling is not None and rng.random() < spoiling.occlude:
-            mask &= ~_occluder(mask.shape, rng)
+        background = _background(rng, person, camera, postures, spoiling)
+        rendering = render_person(person, camera, *(background or ()))
+        if np.count_nonzero(rendering.labels) < _FEWEST:
+            continue
+        depth = sense(rendering.depth_m, rendering.material, camera, random_model(rng, preset), rng)
+        mask, labels = _segment(rng, rendering, camera.fx, background, depth, spoiling)
         window = make_window(depth, mask, camera)
-        if window is not None and np.count_nonzero(mask & (labels != UNLABELLED)) > 200:
+        known = mask & (labels > 0) & (labels != UNLABELLED)
+        if window is not None and np.count_nonzero(known) > _FEWEST // 2:
             return window.inputs, window.labels_from_image(labels, UNLABELLED)
-    raise RuntimeError(f"no body in view in 20 attempts (seed {seed}, index {index})")
+    raise InputError(f"no person could be drawn in 20 tries (seed {seed}, index {index})")
 
 
-def _occluder(shape: tuple[int, ...], rng: np.random.Generator) -> ndarray:
-    """A bar or a box somewhere on the picture, cut out of the mask as furniture in front would be."""
+def _cropped(camera: DepthCamera, person: PosedPerson) -> DepthCamera | None:
+    """The part of a camera's picture around the person, which is all that training needs; None where it is empty."""
+    points = np.concatenate([person.vertices, *(layer.vertices for layer in person.layers)])
+    u, v, z = camera.project(points[::4]).T
+    seen = z > 0.2
+    if not seen.any():
+        return None
+    left, right = max(int(u[seen].min()) - _MARGIN, 0), min(int(u[seen].max()) + _MARGIN + 1, camera.width)
+    top, bottom = max(int(v[seen].min()) - _MARGIN, 0), min(int(v[seen].max()) + _MARGIN + 1, camera.height)
+    if right - left < _MARGIN or bottom - top < _MARGIN:
+        return None
+    return dataclasses.replace(camera, width=right - left, height=bottom - top, cx=camera.cx - left, cy=camera.cy - top)
+
+
+def _background(
+    rng: np.random.Generator,
+    person: PosedPerson,
+    camera: DepthCamera,
+    postures: PostureSource,
+    spoiling: Spoiling | None,
+) -> _Background | None:
+    """Depth and materials of what is around the person, None where nothing is."""
+    if spoiling is None:
+        return None
+    depth = material = None
+    if rng.random() < spoiling.scene:
+        scene = random_scene(
+            rng, person, [camera], TRAINING, lambda rng: random_dressed(rng, "open").pose(postures.sample(rng)[0])
+        )
+        depth, material = render_scene(scene, camera)
+    if rng.random() < spoiling.floor:
+        floor = _floor(camera, float(person.vertices[:, 2].min()) - 0.01)
+        if depth is None or material is None:
+            depth, material = np.zeros_like(floor), np.zeros(floor.shape, np.uint8)
+        nearer = (floor > 0) & ((depth == 0) | (floor < depth))
+        depth[nearer] = floor[nearer]
+        material[nearer] = Material.SCENE
+    return None if depth is None or material is None else (depth, material)
+
+
+def _floor(camera: DepthCamera, height_m: float) -> Float[ndarray, "h w"]:
+    """Depth of a floor up to 9 m, 0 above the horizon."""
+    rotation, eye = camera.world_from_camera[:3, :3], camera.world_from_camera[:3, 3]
+    u = (np.arange(camera.width) - camera.cx) / camera.fx
+    v = (np.arange(camera.height) - camera.cy) / camera.fy
+    down = rotation[2, 0] * u[None] + rotation[2, 1] * v[:, None] + rotation[2, 2]  # of a ray of depth 1
+    with np.errstate(divide="ignore"):
+        z = (height_m - eye[2]) / down
+    return np.where((down < 0) & (z > 0.2) & (z < 9), z, 0).astype(np.float32)
+
+
+def _segment(
+    rng: np.random.Generator,
+    rendering: Rendering,
+    focal_px: float,
+    background: _Background | None,
+    depth: Float[ndarray, "h w"],
+    spoiling: Spoiling | None,
+) -> tuple[Bool[ndarray, "h w"], UInt8[ndarray, "h w"]]:
+    """The person's mask as background subtraction finds it, and what is known of the pixels in it: regions of the
+    skin; 0 where there is none near behind (wide clothes, things); 255 beside the silhouette, where pixels fly."""
+    person, material = rendering.person, rendering.material
+    labels = np.where(person, rendering.labels, np.uint8(UNLABELLED))
+    # Where cloth reaches a little over the skin's outline, any label serves; only far from it is cloth background.
+    bare = cv2.distanceTransform((rendering.labels == 0).astype(np.uint8), cv2.DIST_L2, 3)
+    labels[(labels == 0) & (bare * depth < _HALO_M * focal_px)] = UNLABELLED
+    if spoiling is None:
+        return person & (depth > 0), labels
+    taken = person.copy()
+    for kind, chance in ((Material.OBJECT, spoiling.objects), (Material.SECOND_PERSON, spoiling.second)):
+        if rng.random() < chance:
+            taken |= material == kind
+    labels[(material == Material.OBJECT) | (material == Material.SECOND_PERSON)] = 0
+    around = cv2.dilate(taken.astype(np.uint8), np.ones((3, 3), np.uint8), iterations=int(rng.integers(0, 3))) > 0
+    if background is None:
+        mask = around & (depth > 0)
+    else:
+        # What differs from the empty scene; a held thing and a second person are in no picture of that.
+        empty = np.where(background[1] == Material.SCENE, background[0], 0)
+        threshold = rng.uniform(0.02, 0.08) + rng.uniform(0, 0.02) * depth
+        mask = around & (depth > 0) & ((empty == 0) | (empty - depth > threshold) | (depth - empty > 2 * threshold))
+        if rng.random() < 0.6:  # some of the floor or of furniture beside the feet, a shadow of theirs
+            feet = _FEET[np.where(labels == UNLABELLED, 0, labels)].astype(np.uint8)
+            size = int(rng.integers(2, 9))
+            ring = cv2.dilate(feet, np.ones((size, 2 * size), np.uint8)) > 0
+            leaked = ring & (material == Material.SCENE) & (depth > 0)
+            mask |= leaked
+            labels[leaked] = 0
+    if rng.random() < spoiling.occlude:
+        mask &= ~_occluder(mask.shape, rng)
+    if rng.random() < spoiling.erode:
+        mask = cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return mask, labels
+
+
+def _occluder(shape: tuple[int, ...], rng: np.random.Generator) -> Bool[ndarray, "h w"]:
+    """A bar or a box somewhere on the picture, cut out of the mask."""
     height, width = shape
     centre = (float(rng.uniform(0, width)), float(rng.uniform(0, height)))
     size = (float(rng.uniform(0.05, 0.35) * width), float(rng.uniform(0.1, 0.7) * height))

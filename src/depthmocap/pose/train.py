@@ -21,9 +21,7 @@ from depthmocap.pose.cloud import LabelledView, merge_views
 from depthmocap.pose.features import FEATURE_COUNT, cloud_features
 from depthmocap.pose.ridge import RidgeBank, fit_ridge
 from depthmocap.settings import plain_settings
-from depthmocap.synth.postures import TRAINING_VARIATION, posture_source
-from depthmocap.synth.sample import Sample, draw_sample
-from depthmocap.synth.sensor import random_noise
+from depthmocap.synth.sample import ANY_SENSOR, CameraRange, Recipe, Sample, Sampler
 
 #: Bound of standardised features of network labels, in deviations. Mislabelled specks move a region's minimum and
 #: maximum: with one view it took a tenth off the mean error, with three it changed nothing. True labels have no specks.
@@ -65,10 +63,13 @@ class PoseTraining:
 
 
 def _synth_samples(settings: PoseTraining) -> Iterator[Sample]:
-    source = posture_source(settings.postures, "train", settings.people == "easy", TRAINING_VARIATION)
+    recipe = Recipe(
+        settings.people, "train", max(settings.views), settings.postures, vary=True,
+        sensors=(ANY_SENSOR,), noise="random", cameras=CameraRange(roll_rad=0.03),
+    )  # fmt: skip
+    draw = Sampler(recipe, settings.seed)
     for index in range(settings.samples):
-        rng = np.random.default_rng([settings.seed, 77, index])
-        yield draw_sample(rng, settings.people, source, max(settings.views), noise=random_noise(rng))
+        yield draw(index)
 
 
 def _folder_samples(settings: PoseTraining) -> Iterator[Sample]:

@@ -16,16 +16,17 @@ import tyro
 from jaxtyping import Float, UInt16
 from numpy import ndarray
 
-from depthmocap.body.model import Body, BodyModel, Phenotype
+from depthmocap.body.model import BodyModel, Phenotype
 from depthmocap.capture.recording import RecordingWriter
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import DepthCamera, Rig, look_at
-from depthmocap.synth.bodies import Outfit, dress
-from depthmocap.synth.render import render_body
+from depthmocap.synth.garments import DressedBody, clothe
+from depthmocap.synth.render import Material, render_person
 from depthmocap.synth.room import Box, Room, render_room, shelf, table
-from depthmocap.synth.sample import Sensor
-from depthmocap.synth.sensor import SensorNoise, apply_noise
+from depthmocap.synth.sensor import sense
+from depthmocap.synth.sensors import SENSORS, SensorPreset
 from depthmocap.synth.sequence import DEMO_SECONDS, demo_motion, pose_sequence
+from depthmocap.synth.wardrobe import ORDINARY_CLOTHES
 
 FPS = 8.0
 SETS = round(DEMO_SECONDS * FPS)
@@ -36,7 +37,6 @@ JITTER_S = 0.003
 LEARNT_CAMERA = "cam2"
 
 PERSON = Phenotype(gender=0.25, age=0.68, muscle=0.5, weight=0.45, height=0.55)
-OUTFIT = Outfit(top_m=0.012, bottom_m=0.01, shoes_m=0.01, hair_m=0.02, folds=0.4)
 ROOM = Room(
     Box((-2.9, -3.0, 0.0), (2.9, 2.7, 4.0)),
     (
@@ -53,24 +53,25 @@ ROOM = Room(
 class _Mount:
     """A camera on its stand: metres from the origin over the floor, and the height it looks at there."""
 
-    sensor: Sensor
+    sensor: SensorPreset
     azimuth_deg: float
     distance_m: float
     height_m: float
     aim_m: float
-    noise: SensorNoise
-    range_m: float
 
 
-_SMALL_AZURE = Sensor(320, 288, 252.0, 252.1, 160.9, 145.3)
-_HALF_KINECT = Sensor(256, 212, 184.1, 183.7, 126.9, 104.6)
-_AZURE_NOISE = SensorNoise(0.0005, 0.0004, lateral_px=0.18, holes=0.3)
+def _half(preset: SensorPreset) -> SensorPreset:
+    """A sensor whose picture is stored at half its size."""
+    return dataclasses.replace(
+        preset, width=preset.width // 2, height=preset.height // 2, fx=preset.fx / 2, fy=preset.fy / 2,
+        cx=preset.cx / 2 - 0.25, cy=preset.cy / 2 - 0.25,
+    )  # fmt: skip
+
+
 _MOUNTS = {
-    "cam0": _Mount(_SMALL_AZURE, 8.0, 2.6, 1.15, 1.12, _AZURE_NOISE, 5.46),
-    "cam1": _Mount(_SMALL_AZURE, 121.0, 2.65, 1.95, 1.08, _AZURE_NOISE, 3.86),
-    "cam2": _Mount(
-        _HALF_KINECT, -114.0, 2.7, 1.5, 1.1, SensorNoise(0.0007, 0.0006, lateral_px=0.2, edge_loss=0.35), 8.0
-    ),
+    "cam0": _Mount(SENSORS["azure-nfov-binned"], 8.0, 2.6, 1.15, 1.12),
+    "cam1": _Mount(SENSORS["azure-nfov-binned"], 121.0, 2.65, 1.95, 1.08),
+    "cam2": _Mount(_half(SENSORS["kinect2"]), -114.0, 2.7, 1.5, 1.1),
 }
 
 
@@ -78,26 +79,27 @@ def demo_rig() -> Rig:
     """The three cameras; an azimuth is counted from −Y, where the person looks at the start, towards +X."""
     cameras = []
     for name, mount in _MOUNTS.items():
-        azimuth, sensor = np.deg2rad(mount.azimuth_deg), mount.sensor
+        azimuth = np.deg2rad(mount.azimuth_deg)
         eye = np.array([np.sin(azimuth) * mount.distance_m, -np.cos(azimuth) * mount.distance_m, mount.height_m])
         pose = look_at(eye, np.array([0.0, 0.0, mount.aim_m])).round(6)  # as exact as a calibration, and readable
-        cameras.append(DepthCamera(name, sensor.width, sensor.height, sensor.fx, sensor.fy, sensor.cx, sensor.cy, pose))
+        cameras.append(mount.sensor.camera(name, pose))
     return Rig(tuple(cameras))
 
 
-def demo_body() -> Body:
+def demo_body() -> DressedBody:
     """The person, dressed. Needs the extra ``train``."""
-    return dress(BodyModel.load().shape(PERSON), OUTFIT, np.random.default_rng(7))
-
-
-def _sense(depth_m: Float[ndarray, "h w"], mount: _Mount, rng: np.random.Generator) -> Float[ndarray, "h w"]:
-    return apply_noise(np.where(depth_m < mount.range_m, depth_m, 0).astype(np.float32), mount.noise, rng)
+    return clothe(BodyModel.load().shape(PERSON), ORDINARY_CLOTHES, np.random.default_rng(7))
 
 
 def demo_backgrounds(seed: int = 0) -> dict[str, Float[ndarray, "_ _"]]:
     """Depth (metres) that each camera reads of the empty room."""
     rng = np.random.default_rng([seed, 0])
-    return {c.name: _sense(render_room(ROOM, c), _MOUNTS[c.name], rng) for c in demo_rig().cameras}
+    backgrounds = {}
+    for camera in demo_rig().cameras:
+        depth_m = render_room(ROOM, camera)
+        material = np.full(depth_m.shape, Material.SCENE, np.uint8)
+        backgrounds[camera.name] = sense(depth_m, material, camera, _MOUNTS[camera.name].sensor.model, rng)
+    return backgrounds
 
 
 def demo_frames(seed: int = 0, sets: int = SETS) -> Iterator[tuple[dict[str, int], FrameSet]]:
@@ -121,9 +123,9 @@ def demo_frames(seed: int = 0, sets: int = SETS) -> Iterator[tuple[dict[str, int
     for i, truth in enumerate(pose_sequence(body, demo_motion(body, middle_s))):
         views = []
         for camera, poses in zip(rig.cameras, moving, strict=True):
-            depth, labels = render_body(next(poses), camera, rooms[camera.name])
-            depth = _sense(depth, _MOUNTS[camera.name], rng)
-            views.append(View(camera, depth, (labels > 0) & (depth > 0), labels))
+            seen = render_person(next(poses), camera, rooms[camera.name])
+            depth = sense(seen.depth_m, seen.material, camera, _MOUNTS[camera.name].sensor.model, rng)
+            views.append(View(camera, depth, seen.person & (depth > 0), seen.labels))
         stamps = {camera.name: _stamp_ns(times_s[k, i]) for k, camera in enumerate(rig.cameras)}
         yield stamps, FrameSet(_stamp_ns(middle_s[i]), tuple(views), truth.joints)
 

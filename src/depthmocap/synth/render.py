@@ -60,6 +60,21 @@ class PosedPerson:
         """The 18 joints."""
         return self.body.joints
 
+    @property
+    def lowest_m(self) -> float:
+        """Height of the lowest point: that of the floor under somebody who stands."""
+        return float(min(mesh[:, 2].min() for mesh in (self.vertices, *(layer.vertices for layer in self.layers))))
+
+    def moved(self, rotation: Float[ndarray, "3 3"], offset: Float[ndarray, "3"]) -> PosedPerson:
+        """The person turned about the world's origin, then shifted, with all they wear."""
+
+        def move(points: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
+            return (points @ rotation.T + offset).astype(points.dtype)
+
+        body = dataclasses.replace(self.body, vertices=move(self.vertices), joints=move(self.joints))
+        layers = tuple(dataclasses.replace(layer, vertices=move(layer.vertices)) for layer in self.layers)
+        return PosedPerson(body, layers)
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rendering:
@@ -85,7 +100,7 @@ def draw_mesh(
     values: UInt8[ndarray, "h w"],
     two_sided: bool = False,
 ) -> None:
-    """Draw a mesh of the world into ``depth_m`` (infinite where nothing is yet) and its faces' values into ``values``."""
+    """Draw a mesh of the world over ``depth_m`` (infinite where nothing is yet), its faces' values into ``values``."""
     points = np.ascontiguousarray(transform_points(camera.camera_from_world, vertices))
     rasterise(
         points, faces, face_values, camera.fx, camera.fy, camera.cx, camera.cy, NEAR_M, two_sided, depth_m, values

@@ -1,8 +1,9 @@
-"""Algorithm 1 of the paper: a random body, a random posture, n random cameras."""
+"""Algorithm 1 of the paper: a random body, a random posture, n random cameras; and recipes of data sets."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from pathlib import Path
 from typing import Literal
 
@@ -10,62 +11,66 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from depthmocap.body.model import Body, BodyModel, PosedBody
+from depthmocap.body.model import PosedBody
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.geometry.transforms import look_at
-from depthmocap.synth.bodies import ONE_CHARACTER, dress, random_outfit, random_phenotype, sixteen_characters
-from depthmocap.synth.postures import PostureSource, Variation, posture_source
-from depthmocap.synth.render import render_body
-from depthmocap.synth.sensor import SensorNoise, apply_noise_near
+from depthmocap.synth.bodies import random_dressed
+from depthmocap.synth.postures import TRAINING_VARIATION, PostureSource, Variation, posture_source
+from depthmocap.synth.render import PosedPerson, Rendering, render_person
+from depthmocap.synth.scene import OFF, SCENE_PRESETS, Scene, random_scene, render_scene
+from depthmocap.synth.sensor import sense
+from depthmocap.synth.sensors import HELD_OUT_SENSOR, SENSORS, SensorPreset, find_sensor, random_model
 
 Subset = Literal["easy", "inter", "hard", "open"]
 Split = Literal["train", "valid", "test"]
+SPLITS: tuple[Split, ...] = ("train", "valid", "test")
+#: Exact depth; depth as the sensor reads it; or with errors drawn around the sensor's, up to three times as strong.
+Noise = Literal["none", "sensor", "random"]
+
+#: Stands for every sensor but the one kept out of training.
+ANY_SENSOR = "any"
+#: A body fills at least so many pixels of one view; otherwise the sample is drawn again, so many times at most.
+_FEWEST_PIXELS, _TRIES = 50, 20
 
 
 @dataclasses.dataclass(frozen=True)
 class CameraRange:
     """Where cameras stand (paper, Sec. III): any azimuth, 1.5–4 m from the person, heights above the floor that a
-    user would mount at. ``aim_m`` is the deviation of the point they look at from the body's middle."""
+    user would mount at.
+
+    Attributes:
+        distance_m: from the body's middle, nearest and farthest.
+        height_m: above the floor, lowest and highest.
+        aim_m: deviation of the point they look at from the body's middle.
+        roll_rad: deviation of the roll; UBC3V's layout cannot store any.
+        truncated: share of cameras that look past the person, so that the picture ends within them.
+    """
 
     distance_m: tuple[float, float] = (1.5, 4.0)
     height_m: tuple[float, float] = (0.5, 2.5)
     aim_m: float = 0.1
     roll_rad: float = 0.0
+    truncated: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("distance_m", "height_m"):
+            low, high = getattr(self, name)
+            if not (np.isfinite([low, high]).all() and low <= high):
+                raise InputError(f"cameras: {name} must be a minimum and a maximum, got {low} and {high}")
+        if self.distance_m[0] < 0.5:
+            raise InputError(f"cameras: distance_m must be at least 0.5, got {self.distance_m[0]}")
+        if self.aim_m < 0 or self.roll_rad < 0 or not 0 <= self.truncated <= 1:
+            raise InputError("cameras: aim_m and roll_rad must not be negative, and truncated must be 0 to 1")
 
 
-@dataclasses.dataclass(frozen=True)
-class Sensor:
-    """Size and focal length of a depth camera (pixels); the centre is the picture's."""
-
-    width: int = 512
-    height: int = 424
-    fx: float = 368.74
-    fy: float = 367.93
-    cx: float = 253.15
-    cy: float = 205.13
-
-
-#: UBC3V's ray table, as a pinhole.
-KINECT2 = Sensor()
-
-
-def random_body(rng: np.random.Generator, subset: Subset, model: BodyModel) -> Body:
-    """A body of a subset: easy and inter have one character, hard sixteen, open any; hard and open are dressed."""
-    if subset in ("easy", "inter"):
-        return model.shape(ONE_CHARACTER)
-    if subset == "hard":
-        characters = sixteen_characters()
-        index = int(rng.integers(len(characters)))
-        # Each of the sixteen always wears the same.
-        fixed = np.random.default_rng([16, index])
-        return dress(model.shape(characters[index]), random_outfit(fixed), fixed)
-    return dress(model.shape(random_phenotype(rng)), random_outfit(rng), rng)
+#: Deviation of the aim (metres) of a camera that looks past the person.
+_PAST_M = 0.7
 
 
 def random_camera(
-    rng: np.random.Generator, body: PosedBody, places: CameraRange, sensor: Sensor, name: str
+    rng: np.random.Generator, body: PosedBody, places: CameraRange, sensor: SensorPreset, name: str
 ) -> DepthCamera:
     """A camera of the range that looks at the body."""
     low, high = body.vertices.min(0).astype(float), body.vertices.max(0).astype(float)
@@ -75,45 +80,9 @@ def random_camera(
     distance = max(rng.uniform(*places.distance_m), abs(height) * 1.1)
     ground = np.sqrt(distance**2 - height**2)
     eye = centre + np.array([ground * np.sin(azimuth), -ground * np.cos(azimuth), height])
-    aim = centre + rng.normal(0, places.aim_m, 3)
-    pose = look_at(eye, aim, rng.normal(0, places.roll_rad))
-    return DepthCamera(name, sensor.width, sensor.height, sensor.fx, sensor.fy, sensor.cx, sensor.cy, pose)
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Sample:
-    """One posture seen by n cameras; the group is the clip (or component) the posture came from."""
-
-    views: tuple[View, ...]
-    joints: Float[ndarray, "18 3"]
-    group: int
-
-
-def draw_sample(
-    rng: np.random.Generator,
-    subset: Subset,
-    postures: PostureSource,
-    views: int = 3,
-    places: CameraRange = CameraRange(),
-    sensor: Sensor = KINECT2,
-    noise: SensorNoise | None = None,
-) -> Sample:
-    """One call of the paper's SAMPLE: labels are exact; depth has the sensor's noise if any is given, and masks
-    are where it is valid."""
-    model = BodyModel.load()
-    body = random_body(rng, subset, model)
-    posture, group = postures.sample(rng)
-    posed = body.pose(posture)
-    drawn = []
-    for i in range(views):
-        camera = random_camera(rng, posed, places, sensor, f"Cam{i + 1}")
-        depth, labels = render_body(posed, camera)
-        mask = labels > 0
-        if noise is not None:
-            depth = apply_noise_near(depth, mask, noise, rng)
-            mask = mask & (depth > 0)
-        drawn.append(View(camera, depth, mask, labels))
-    return Sample(tuple(drawn), posed.joints, group)
+    past = places.truncated > 0 and rng.random() < places.truncated
+    aim = centre + rng.normal(0, _PAST_M if past else places.aim_m, 3)
+    return sensor.camera(name, look_at(eye, aim, rng.normal(0, places.roll_rad)))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,19 +94,97 @@ class Recipe:
             open (bodies and outfits of all kinds).
         split: postures of the splits come from different motion clips.
         views: cameras around each posture.
-        postures: folder of motion capture clips; without it postures come from the packaged prior.
-        noise: sensor noise on the depth; UBC3V itself has none.
+        postures: folder of motion capture clips, or a pool made of them; without it the packaged prior.
+        vary: recombine and perturb postures, for training.
+        sensors: names of sensors (see docs/sensors.md), of which each view draws one; "any" stands for all but the
+            one that is kept out of training.
+        noise: "none" for exact depth, "sensor" for the sensor's errors, "random" for errors drawn around them.
+        scene: what is around the person: "off" nothing, "training" things that hide and cling, "full" furnished rooms.
+        cameras: where they stand.
+        held_out_clothes: everybody wears the family of garments that is kept out of training.
     """
 
     subset: Subset = "hard"
     split: Split = "train"
     views: int = 3
     postures: Path | None = None
-    noise: bool = False
+    vary: bool = False
+    sensors: tuple[str, ...] = ("ubc3v",)
+    noise: Noise = "none"
+    scene: Literal["off", "training", "full"] = "off"
+    cameras: CameraRange = CameraRange()
+    held_out_clothes: bool = False
 
     def __post_init__(self) -> None:
         if self.views < 1:
             raise InputError(f"--views must be at least 1, got {self.views}")
+        if not self.sensors:
+            raise InputError(f"--sensors must name at least one sensor of {', '.join(SENSORS)}, or {ANY_SENSOR}")
+        self.presets  # noqa: B018 - names that are no sensors raise
+
+    @functools.cached_property
+    def presets(self) -> tuple[SensorPreset, ...]:
+        """The sensors.
+
+        Raises:
+            InputError: when a name is no sensor's.
+        """
+        names = [
+            each
+            for name in self.sensors
+            for each in ([s for s in SENSORS if s != HELD_OUT_SENSOR] if name == ANY_SENSOR else [name])
+        ]
+        return tuple(find_sensor(name) for name in names)
+
+
+_BENCH = Recipe("open", "test", sensors=(ANY_SENSOR,), noise="sensor", cameras=CameraRange(roll_rad=0.03))
+#: The project's own test sets: what training shows, then clothes and a sensor that it never shows.
+BENCH: dict[str, Recipe] = {
+    "seen": _BENCH,
+    "new clothes": dataclasses.replace(_BENCH, held_out_clothes=True),
+    "new sensor": dataclasses.replace(_BENCH, sensors=(HELD_OUT_SENSOR,)),
+}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Sample:
+    """One posture seen by n cameras; the group is the clip (or component) the posture came from."""
+
+    views: tuple[View, ...]
+    joints: Float[ndarray, "18 3"]
+    group: int
+
+
+def see(person: PosedPerson, scene: Scene | None, camera: DepthCamera) -> Rendering:
+    """What a perfect camera sees of a person in a scene."""
+    background = (None, None) if scene is None else render_scene(scene, camera)
+    return render_person(person, camera, *background)
+
+
+def draw_sample(rng: np.random.Generator, recipe: Recipe, postures: PostureSource) -> Sample:
+    """One call of the paper's SAMPLE. Labels are exact; masks are the person's pixels (clothes and hair included)
+    where the depth is valid."""
+    posture, group = postures.sample(rng)
+    person = random_dressed(rng, recipe.subset, recipe.held_out_clothes).pose(posture)
+    presets = [recipe.presets[int(rng.integers(len(recipe.presets)))] for _ in range(recipe.views)]
+    cameras = [
+        random_camera(rng, person.body, recipe.cameras, preset, f"Cam{i + 1}") for i, preset in enumerate(presets)
+    ]
+    settings = SCENE_PRESETS[recipe.scene]
+
+    def another(rng: np.random.Generator) -> PosedPerson:
+        return random_dressed(rng, "open").pose(postures.sample(rng)[0])
+
+    scene = None if settings == OFF else random_scene(rng, person, cameras, settings, another)
+    views = []
+    for camera, preset in zip(cameras, presets, strict=True):
+        rendering = see(person, scene, camera)
+        depth = rendering.depth_m
+        if recipe.noise != "none":
+            model = preset.model if recipe.noise == "sensor" else random_model(rng, preset)
+            depth = sense(depth, rendering.material, camera, model, rng)
+        views.append(View(camera, depth, rendering.person & (depth > 0), rendering.labels))
+    return Sample(tuple(views), person.joints, group)
 
 
 class Sampler:
@@ -145,11 +192,21 @@ class Sampler:
 
     def __init__(self, recipe: Recipe, seed: int) -> None:
         self.recipe, self.seed = recipe, seed
-        self._postures = posture_source(recipe.postures, recipe.split, recipe.subset == "easy", Variation(mirror=0.5))
+        variation = TRAINING_VARIATION if recipe.vary else Variation(mirror=0.5)
+        self._postures = posture_source(recipe.postures, recipe.split, recipe.subset == "easy", variation)
 
     def __call__(self, index: int) -> Sample:
-        """The sample of an index, from 0."""
-        split = ("train", "valid", "test").index(self.recipe.split)
-        rng = np.random.default_rng([self.seed, split, index])
-        noise = SensorNoise() if self.recipe.noise else None
-        return draw_sample(rng, self.recipe.subset, self._postures, self.recipe.views, noise=noise)
+        """The sample of an index, from 0. One that no camera sees is drawn again.
+
+        Raises:
+            InputError: when no camera sees the person however often it is drawn.
+        """
+        for attempt in range(_TRIES):
+            rng = np.random.default_rng([self.seed, SPLITS.index(self.recipe.split), index, attempt])
+            sample = draw_sample(rng, self.recipe, self._postures)
+            if any(np.count_nonzero(view.mask) >= _FEWEST_PIXELS for view in sample.views):
+                return sample
+        raise InputError(
+            f"sample {index}: no camera sees the person in {_TRIES} tries; bring the cameras nearer (within the "
+            "sensor's range), let them aim closer, or take more views"
+        )

@@ -16,10 +16,12 @@ from numpy import ndarray
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
-from depthmocap.body.model import Body, PosedBody
+from depthmocap.body.model import REST_POSTURE
 from depthmocap.body.posture import POSTURE_INDEX, local_rotations
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.geometry.transforms import rotation_between
+from depthmocap.synth.garments import DressedBody
+from depthmocap.synth.render import PosedPerson
 
 #: Length of the demo motion.
 DEMO_SECONDS = 9.8
@@ -124,11 +126,13 @@ class Motion:
     offsets: Float[ndarray, "n 3"]
 
 
-def demo_motion(body: Body, times_s: Float[ndarray, " n"]) -> Motion:
+def demo_motion(dressed: DressedBody, times_s: Float[ndarray, " n"]) -> Motion:
     """The demo motion at any times (s) of 0 to ``DEMO_SECONDS``, for a body that turns behind the origin, steps
-    forward and faces −Y for the rest; before and after, it stands. The feet are placed with the bones of this body."""
+    forward and faces −Y for the rest; before and after, it stands. The feet are placed with the bones of this body,
+    the soles of its shoes on the floor."""
+    body = dressed.body
     rest = dict(zip(JOINT_INDEX, body.rest_heads[body.model.joint_bones], strict=True))
-    floor = float(body.rest_vertices[:, 2].min())
+    floor = dressed.pose(REST_POSTURE).lowest_m
     thigh, shin = (
         float(np.mean([np.linalg.norm(rest[f"{s}{a}"] - rest[f"{s}{b}"]) for s in _SIDES]))
         for a, b in (("Hip", "Knee"), ("Knee", "Foot"))
@@ -176,16 +180,10 @@ def demo_motion(body: Body, times_s: Float[ndarray, " n"]) -> Motion:
     return Motion(times_s, local_rotations(world), pelvis - rest["Hip"])
 
 
-def pose_sequence(body: Body, motion: Motion) -> Iterator[PosedBody]:
-    """The body in every posture of a motion, where it then is, on the floor z = 0.
-
-    A dressed body's soles are not equally thick: the thicker touches the floor, and nothing jumps as the weight shifts.
-    """
+def pose_sequence(dressed: DressedBody, motion: Motion) -> Iterator[PosedPerson]:
+    """The person in every posture of a motion, where they then are, on the floor z = 0."""
     for posture, offset in zip(motion.postures, motion.offsets, strict=True):
-        posed = body.pose(posture)
-        yield dataclasses.replace(
-            posed, vertices=posed.vertices + offset.astype(posed.vertices.dtype), joints=posed.joints + offset
-        )
+        yield dressed.pose(posture).moved(np.eye(3), offset)
 
 
 def _channels(times_s: Float[ndarray, " n"]) -> dict[str, Float[ndarray, " n"]]:
