@@ -71,11 +71,9 @@ def bare_share(person: PosedPerson, *kinds: str) -> float:
 
 def middling(family: str, loose: float = 0.5) -> Garment:
     """A garment of a family in the middle of its ranges, as loose as said."""
-    values = {name: low + 0.5 * (high - low) for name, (low, high) in FAMILIES[family].items()}
-    for name in ("slack_m", "sag"):
-        low, high = FAMILIES[family][name]
-        values[name] = low + loose * (high - low)
-    return Garment(family, **values)
+    shares = {"slack_m": loose, "sag": loose}
+    values = {name: low + shares.get(name, 0.5) * (high - low) for name, (low, high) in FAMILIES[family].items()}
+    return dataclasses.replace(Garment(family), **values)
 
 
 @pytest.fixture(scope="module")
@@ -203,6 +201,9 @@ def test_hidden_inner_clothes_are_not_drawn(default_body: Body) -> None:
     beneath = dressed_in(default_body, inner, outer).pieces[0].shell
     assert alone is not None and beneath is not None
     assert len(beneath.faces) < 0.3 * len(alone.faces)
+    # A vest has nothing that looks out of a closed jacket.
+    vest = dataclasses.replace(middling("tank"), hem=0.2)
+    assert len(dressed_in(default_body, vest, dataclasses.replace(outer, hem=0.05)).pieces) == 1
 
 
 def test_an_open_jacket_shows_what_is_beneath(default_body: Body) -> None:

@@ -228,13 +228,17 @@ def relax(sheet, along, across, closed, starts, ends, start_radii, end_radii, fa
 
     In each round points fall by ``fall`` metres, are drawn to within ``along`` of the point above and ``across`` of
     the next in their row, and leave the capsules and the floor. Lengths are only limited from above: cloth folds.
+    What a capsule has held up does not fall any more: cloth on a lap does not slide off.
     Position-based dynamics (Müller et al. 2007) without velocities: the state is the posture's alone.
     """
     rows, columns = sheet.shape[0], sheet.shape[1]
+    lies = np.zeros((rows, columns), np.bool_)
     for _ in range(rounds):
         for r in range(1, rows):
             for c in range(columns):
-                x, y, z = sheet[r, c, 0], sheet[r, c, 1], sheet[r, c, 2] - fall
+                x, y, z = sheet[r, c, 0], sheet[r, c, 1], sheet[r, c, 2]
+                if not lies[r, c]:
+                    z -= fall
                 dx, dy, dz = x - sheet[r - 1, c, 0], y - sheet[r - 1, c, 1], z - sheet[r - 1, c, 2]
                 length = np.sqrt(dx * dx + dy * dy + dz * dz)
                 if length > along[r - 1, c]:
@@ -253,5 +257,8 @@ def relax(sheet, along, across, closed, starts, ends, start_radii, end_radii, fa
                         sheet[r, c, k] += half * d
                         sheet[r, n, k] -= half * d
             for c in range(columns):
-                x, y, z = _leave(sheet[r, c, 0], sheet[r, c, 1], sheet[r, c, 2], starts, ends, start_radii, end_radii)
+                old_x, old_y, old_z = sheet[r, c, 0], sheet[r, c, 1], sheet[r, c, 2]
+                x, y, z = _leave(old_x, old_y, old_z, starts, ends, start_radii, end_radii)
+                if z - old_z > abs(x - old_x) + abs(y - old_y):
+                    lies[r, c] = True
                 sheet[r, c, 0], sheet[r, c, 1], sheet[r, c, 2] = x, y, max(z, floor)

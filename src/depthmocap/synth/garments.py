@@ -116,7 +116,8 @@ def clothe(body: Body, clothes: Clothes, rng: np.random.Generator) -> DressedBod
             under = float(worn[rest.cloth.sections["L", 0][1]].mean())
             sheet = skirt_sheet(rest, body, garment, shell.anchors_off_m, under, rng)
         worn = worn_now
-        pieces.append(Piece(Material.DARK_CLOTH if garment.dark else Material.CLOTH, shell, sheet))
+        if len(shell.faces) or sheet is not None:  # not wholly beneath another
+            pieces.append(Piece(Material.DARK_CLOTH if garment.dark else Material.CLOTH, shell, sheet))
     if over_trousers:
         pieces.append(Piece(Material.SHOE, boot_shell(rest, clothes.shoes, worn)[0]))
     if clothes.shoes.style != "bare":

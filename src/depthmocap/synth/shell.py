@@ -202,7 +202,7 @@ def _folds(
     """Signed height of folds (metres): slanting rings along limbs and trunk, and drapes that widen to the hem."""
     wander, *patches = rng.choice(len(cloth.coarse), 3, replace=False)
     waves = [
-        (2 * np.pi / rng.uniform(0.06, 0.12), 2 * np.pi / rng.uniform(0.11, 0.25), turns, rng.uniform(0, 2 * np.pi))
+        (2 * np.pi / rng.uniform(0.07, 0.15), 2 * np.pi / rng.uniform(0.11, 0.25), turns, rng.uniform(0, 2 * np.pi))
         for turns in rng.choice((-2, -1, 1, 2), 2)
     ]
     folds = np.zeros(len(level), np.float32)
@@ -222,7 +222,7 @@ def _folds(
     # Limbs fold at elbows and knees, and long trousers over the foot.
     for part in (cloth.arm, cloth.leg):
         along = cloth.along[part]
-        folds[part] *= 0.35 + 0.75 * np.exp(-(((along - 1) / 0.3) ** 2)) + 1.2 * _smooth((along - 1.6) / 0.4)
+        folds[part] *= 0.5 + 0.6 * np.exp(-(((along - 1) / 0.3) ** 2)) + 1.2 * _smooth((along - 1.6) / 0.4)
     return folds
 
 
