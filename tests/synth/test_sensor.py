@@ -103,7 +103,7 @@ def test_errors_within_a_patch_agree_and_far_ones_do_not() -> None:
     assert slow[10] > 0.8
 
 
-_PATCHES = {"correlation": 0.9, "patch_px": 8.0}
+_PATCHES: dict[str, Any] = {"correlation": 0.9, "patch_px": 8.0}
 
 
 def _autocorrelation(picture: np.ndarray) -> np.ndarray:

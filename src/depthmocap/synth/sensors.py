@@ -72,7 +72,7 @@ class SensorPreset:
 _TOF_REFLECTANCE = (1.0, 1.0, 1.0, 0.15, 0.06, 0.3, 1.0, 0.7, 1.0)
 _PATTERN_REFLECTANCE = (1.0, 1.0, 1.0, 0.3, 0.2, 0.5, 1.0, 0.7, 1.0)
 #: Stereo finds little to match on plain walls.
-_STEREO_REFLECTANCE = (1.0, 1.0, 1.0, 0.6, 0.35, 0.6, 0.4, 0.6, 1.0)
+_STEREO_REFLECTANCE = (1.0, 1.0, 1.0, 0.6, 0.35, 0.6, 0.5, 0.6, 1.0)
 
 _KINECT2 = SensorModel(
     range_m=(0.5, 8.0),
@@ -96,7 +96,7 @@ _AZURE = dataclasses.replace(
     axial_m=(0.0006, 0.0, 0.00015),
     lost_px=(1.2, 1.2),
     flying=0.04,
-    reach_m=8.0,
+    reach_m=10.0,
     vignette=0.8,
     shadow_m=0.0,
 )
@@ -124,7 +124,7 @@ _KINECT1 = SensorModel(
 _D435 = SensorModel(
     range_m=(0.2, 10.0),
     axial_m=(0.0, 0.0, 0.05 / (424 * 0.05)),
-    correlation=0.97,
+    correlation=0.98,
     patch_px=12.0,
     wave=0.5,
     wave_px=50.0,
@@ -145,9 +145,9 @@ _D435 = SensorModel(
 #: 8 bits over 50–800 cm, times the factor that the authors' toolkit reads them with.
 _UBC3V = SensorModel(range_m=(0.515, 8.24), step_m=7.5 / 255 * 1.03, step_from_m=0.515)
 
-_AZURE_WIDE = dataclasses.replace(_AZURE, range_m=(0.25, 2.21), reach_m=4.5)
-_AZURE_BINNED = dataclasses.replace(_AZURE, range_m=(0.5, 5.46), reach_m=9.0)
-_AZURE_WIDE_BINNED = dataclasses.replace(_AZURE, range_m=(0.25, 2.88), reach_m=6.0)
+_AZURE_WIDE = dataclasses.replace(_AZURE, range_m=(0.25, 2.21), reach_m=6.0)
+_AZURE_BINNED = dataclasses.replace(_AZURE, range_m=(0.5, 5.46), reach_m=14.0)
+_AZURE_WIDE_BINNED = dataclasses.replace(_AZURE, range_m=(0.25, 2.88), reach_m=8.0)
 
 
 def _azure(width: int, height: int, focal: float, cx: float, cy: float, model: SensorModel) -> SensorPreset:
@@ -197,7 +197,6 @@ SENSORS: dict[str, SensorPreset] = {
         "structured light",
         dataclasses.replace(
             _KINECT1,
-            axial_m=(0.0011, -0.0011, 0.0014),
             patch_px=4.0,
             wave_px=30.0,
             lateral_px=0.5,
@@ -226,11 +225,12 @@ def find_sensor(name: str) -> SensorPreset:
 
 
 def random_preset(rng: np.random.Generator, held_out: bool = False) -> SensorPreset:
-    """One of the sensors but the held-out one, each as likely; that one with ``held_out``."""
+    """One of the sensors but the held-out one, each as likely, sensors under two names counted once; with ``held_out``
+    that one. Place the camera so that the person is within its range: that of some modes ends at 2.2 m."""
     if held_out:
         return SENSORS[HELD_OUT_SENSOR]
-    names = [name for name in SENSORS if name != HELD_OUT_SENSOR]
-    return SENSORS[names[int(rng.integers(len(names)))]]
+    presets = list(dict.fromkeys(preset for name, preset in SENSORS.items() if name != HELD_OUT_SENSOR))
+    return presets[int(rng.integers(len(presets)))]
 
 
 def random_model(rng: np.random.Generator, preset: SensorPreset) -> SensorModel:
