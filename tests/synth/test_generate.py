@@ -48,6 +48,7 @@ def made_up(recipe: Recipe, seed: int, index: int, roll_rad: float = 0.0) -> Sam
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("depthmocap.synth.card._charts", lambda rows: [])
+    monkeypatch.setattr("depthmocap.synth.card._thumbnails", lambda sample: np.full((4, 4, 3), 9, np.uint8))
     monkeypatch.setattr(units, "_FRAMES_PER_UNIT", 2)
     monkeypatch.setattr(units, "SAMPLES_PER_SHARD", 3)
     monkeypatch.setattr("depthmocap.datasets.ubc3v_write._SAVE_EVERY_S", 0.0)
@@ -221,7 +222,7 @@ if __name__ == "__main__":
 def test_a_killed_run_goes_on(tmp_path: Path, layout: str) -> None:
     script = tmp_path / "main.py"
     script.write_text(SCRIPT.format(tests=str(Path(__file__).parent)))
-    command = [sys.executable, str(script), "synth", "--out", str(tmp_path / "parts"), "--samples", "40"]
+    command = [sys.executable, str(script), "synth", "--out", str(tmp_path / "parts"), "--samples", "15"]
     command += ["--subset", "easy", "--split", "valid", "--views", "2", "--format", layout, "--workers", "0"]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     folder = tmp_path / "parts/easy-pose/valid"
@@ -234,4 +235,4 @@ def test_a_killed_run_goes_on(tmp_path: Path, layout: str) -> None:
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert not (folder / "card.json").exists()
-    assert tree(run(tmp_path / "parts", layout, 40)) == tree(run(tmp_path / "whole", layout, 40))
+    assert tree(run(tmp_path / "parts", layout, 15)) == tree(run(tmp_path / "whole", layout, 15))
