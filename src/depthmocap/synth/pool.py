@@ -79,29 +79,25 @@ class PosturePool:
             with path.open("rb") as handle, np.load(handle, allow_pickle=False) as data:
                 if str(data["format"]) != _FORMAT:
                     raise ValueError(f"it is of another version ({data['format']})")
-                pool = cls(
-                    data["postures"].astype(np.float32) * np.float32(_STEP_RAD),
-                    data["clips"],
-                    data["splits"],
-                    data["simple"],
-                    data["kinds"],
-                    tuple(str(name) for name in data["clip_names"]),
-                    json.loads(str(data["report"])),
-                )
-            pool._check()
+                arrays = {name: data[name] for name in ("postures", "clips", "splits", "simple", "kinds")}
+                names = tuple(str(name) for name in data["clip_names"])
+                report = json.loads(str(data["report"]))
+            _check(arrays, len(names))
         # A file of another kind: not numpy's (EOFError, ValueError), a single array (TypeError), a broken archive.
         except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
             reason = error if not isinstance(error, KeyError) else f"it has no {error}"
             raise InputError(
                 f"{path} is not a readable posture pool: {reason}; make one with: depthmocap postures build"
             ) from None
-        return pool
+        arrays["postures"] = arrays["postures"].astype(np.float32) * np.float32(_STEP_RAD)
+        return cls(**arrays, clip_names=names, report=report)
 
-    def _check(self) -> None:
-        n = len(self.postures)
-        if self.postures.shape != (n, 20, 3) or any(
-            array.shape != (n,) for array in (self.clips, self.splits, self.simple, self.kinds)
-        ):
-            raise ValueError("its arrays do not fit together")
-        if n and (self.clips.min() < 0 or self.clips.max() >= len(self.clip_names) or self.splits.max() >= len(SPLITS)):
-            raise ValueError("a clip or split in it does not exist")
+
+def _check(arrays: dict[str, ndarray], clips: int) -> None:
+    """Raise ValueError unless arrays of a file fit together."""
+    n = len(arrays["postures"])
+    if any(array.shape != ((n, 20, 3) if name == "postures" else (n,)) for name, array in arrays.items()):
+        raise ValueError("its arrays do not fit together")
+    most = {"clips": clips, "splits": len(SPLITS), "kinds": len(KINDS)}
+    if n and any(arrays[name].min() < 0 or arrays[name].max() >= limit for name, limit in most.items()):
+        raise ValueError("a clip, split or kind in it does not exist")

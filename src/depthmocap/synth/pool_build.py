@@ -243,10 +243,13 @@ def _print_report(console: Console, pool: PosturePool, settings: PoolBuild) -> N
         stop = f"{100 * distances['stop']:.1f} cm" if distances else "–"
         table.add_row(split, *(str(value) for value in counts.values()), stop)
     console.print(table)
-    if len(pool) < settings.count:
-        console.print(
-            f"{len(pool)} of {settings.count} postures: the clips give no more that differ by "
-            f"{100 * settings.spacing_m:g} cm; lower --spacing-m or give more clips",
-            style="yellow",
-        )
+    for split, share in zip(SPLITS, settings.shares, strict=True):
+        held, wanted = report["counts"][split]["postures"], round(settings.count * share)
+        if held < wanted:
+            why = (
+                f"its clips give no more that differ by {100 * settings.spacing_m:g} cm; lower --spacing-m"
+                if held
+                else "no clip falls in it"
+            )
+            console.print(f"{split}: {held} of {wanted} postures: {why}, or give more clips", style="yellow")
     console.print(f"wrote {settings.out} ({settings.out.stat().st_size / 1e6:.1f} MB)", highlight=False)

@@ -20,7 +20,7 @@ class PriorTraining:
     """Learn a posture prior from motion capture clips.
 
     Attributes:
-        postures: folder of BVH clips; only those of the training split are learnt from.
+        postures: folder of BVH and ASF/AMC clips; only those of the training split are learnt from.
         out: the .npz file to write.
         components: Gaussians of the mixture.
         rank: widest directions of each Gaussian's covariance that are kept.
