@@ -15,7 +15,7 @@ from numpy import ndarray
 
 from depthmocap.body.model import Body, BodyModel, BoneTransforms, Phenotype
 from depthmocap.synth.render import Layer, Material, PosedPerson
-from depthmocap.synth.sheet import Sheet, hair_sheet, skirt_sheet, tail_sheet
+from depthmocap.synth.sheet import Sheet, hair_sheet, leg_capsules, skirt_sheet, tail_sheet
 from depthmocap.synth.shell import PosedCloth, RestCloth, Shell, boot_shell, garment_level, garment_shell, hair_cap
 from depthmocap.synth.wardrobe import Clothes, Hair, Shoes
 
@@ -107,6 +107,7 @@ def clothe(body: Body, clothes: Clothes, rng: np.random.Generator) -> DressedBod
     if boots and not over_trousers:
         shaft, worn = boot_shell(rest, clothes.shoes, worn)
         pieces.append(Piece(Material.SHOE, shaft))
+    legs = leg_capsules(rest, body)
     levels = [garment_level(rest.cloth, garment) for garment in clothes.garments]
     for i, garment in enumerate(clothes.garments):
         over = np.max(levels[i + 1 :], axis=0) if i + 1 < len(levels) else None
@@ -114,7 +115,7 @@ def clothe(body: Body, clothes: Clothes, rng: np.random.Generator) -> DressedBod
         sheet = None
         if garment.hangs_m:
             under = float(worn[rest.cloth.sections["L", 0][1]].mean())
-            sheet = skirt_sheet(rest, body, garment, shell.anchors_off_m, under, rng)
+            sheet = skirt_sheet(rest, body, legs, garment, shell.anchors_off_m, under, rng)
         worn = worn_now
         if len(shell.faces) or sheet is not None:  # not wholly beneath another
             pieces.append(Piece(Material.DARK_CLOTH if garment.dark else Material.CLOTH, shell, sheet))

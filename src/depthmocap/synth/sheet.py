@@ -173,11 +173,18 @@ def _ramp(x: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
 
 
 def skirt_sheet(
-    rest: RestCloth, body: Body, garment: Garment, off_m: Float[ndarray, "c"], under_m: float, rng: np.random.Generator
+    rest: RestCloth,
+    body: Body,
+    capsules: Capsules,
+    garment: Garment,
+    off_m: Float[ndarray, "c"],
+    under_m: float,
+    rng: np.random.Generator,
 ) -> Sheet:
     """What hangs around both legs: a skirt, or the lower part of a dress or coat.
 
     Args:
+        capsules: the legs' (see :func:`leg_capsules`).
         off_m: how far the garment stands off the skin at the line it hangs from, by column.
         under_m: how far what is worn beneath stands off the legs.
     """
@@ -222,7 +229,7 @@ def skirt_sheet(
     )  # fmt: skip
     bones = [names.index(bone) for bone in ("root", "upperleg01.L", "upperleg01.R", "lowerleg01.L", "lowerleg01.R")]
     margin = garment.thickness_m + under_m + 0.012
-    return _sheet(points, bones, weights, not garment.open_m, columns, leg_capsules(rest, body), margin, 0.012, 12)
+    return _sheet(points, bones, weights, not garment.open_m, columns, capsules, margin, 0.012, 12)
 
 
 def hair_sheet(rest: RestCloth, body: Body, hair: Hair, off_m: Float[ndarray, "c"], rng: np.random.Generator) -> Sheet:
