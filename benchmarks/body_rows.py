@@ -15,7 +15,7 @@ from depthmocap.geometry.transforms import transform_points
 from depthmocap.synth.bodies import ONE_CHARACTER
 from depthmocap.synth.postures import PosturePrior
 from depthmocap.synth.render import render_body
-from depthmocap.synth.sample import KINECT2
+from depthmocap.synth.sensors import SENSORS
 
 GOAL_MS = 2.0
 BATCH = 32
@@ -24,8 +24,7 @@ BATCH = 32
 def camera_before(centre: ndarray, distance_m: float, name: str = "camera") -> DepthCamera:
     """A Kinect 2 that looks at a point from a little above it and from −Y."""
     eye = centre + np.array([0.3, -0.98, 0.2]) / np.linalg.norm([0.3, -0.98, 0.2]) * distance_m
-    s = KINECT2
-    return DepthCamera(name, s.width, s.height, s.fx, s.fy, s.cx, s.cy, look_at(eye, centre))
+    return SENSORS["ubc3v"].camera(name, look_at(eye, centre))
 
 
 def rendering(bench: Bench) -> None:

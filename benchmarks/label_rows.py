@@ -10,9 +10,7 @@ from timing import Bench, Reference
 
 from depthmocap.classify.preprocess import WINDOW
 from depthmocap.classify.runtime import Classifier
-from depthmocap.synth.postures import PosturePrior
-from depthmocap.synth.sample import draw_sample
-from depthmocap.synth.sensor import SensorNoise
+from depthmocap.synth.sample import Recipe, Sampler
 
 GOAL_MS = 20.0
 
@@ -44,7 +42,7 @@ def labelling(bench: Bench) -> None:
     from depthmocap.classify.networks import FastNet
 
     classifier = load_classifier(bench)
-    sample = draw_sample(np.random.default_rng(3), "open", PosturePrior.load(), views=4, noise=SensorNoise())
+    sample = Sampler(Recipe("open", views=4, sensors=("kinect2",), noise="sensor"), seed=3)(0)
     views = list(sample.views)
     masks = [view.mask for view in views if view.mask is not None]
 

@@ -12,7 +12,6 @@ from label_rows import load_classifier
 from numpy import ndarray
 from timing import Bench, Reference, Row, Timing
 
-from depthmocap.body.model import BodyModel
 from depthmocap.body.regions import REGION_COUNT
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.capture.recording import Recording
@@ -25,12 +24,13 @@ from depthmocap.pose.estimate import estimate_joints
 from depthmocap.pose.features import FEATURE_COUNT, FEATURES_PER_REGION, MIN_POINTS, cloud_features
 from depthmocap.pose.ridge import RidgeBank, RidgePose
 from depthmocap.pose.smooth import DEFAULT_WEIGHTS
-from depthmocap.synth.bodies import ONE_CHARACTER
+from depthmocap.synth.bodies import random_dressed
 from depthmocap.synth.postures import PosturePrior
-from depthmocap.synth.render import render_body
+from depthmocap.synth.render import render_person
 from depthmocap.synth.room import Box, Room, render_room
-from depthmocap.synth.sample import CameraRange, draw_sample
-from depthmocap.synth.sensor import SensorNoise, apply_noise
+from depthmocap.synth.sample import CameraRange, Recipe, Sampler
+from depthmocap.synth.sensor import sense
+from depthmocap.synth.sensors import SENSORS
 
 POSE_GOAL_MS = 10.0
 #: As near as a body fits into a Kinect 2's picture: about 30,000 pixels.
@@ -56,10 +56,8 @@ def joints(bench: Bench) -> None:
     """From three labelled views to joints, against the same in plain NumPy."""
     bank = load_bank(bench)
     # Of some samples, the one nearest to 30,000 pixels a view.
-    samples = [
-        draw_sample(np.random.default_rng([6, i]), "open", PosturePrior.load(), places=_NEAR, noise=SensorNoise())
-        for i in range(12)
-    ]
+    draw = Sampler(Recipe("open", sensors=("kinect2",), noise="sensor", cameras=_NEAR), seed=6)
+    samples = [draw(i) for i in range(12)]
     sample = min(samples, key=lambda s: abs(sum(int((v.depth_m > 0).sum()) for v in s.views) - 90_000))
     parts: list[LabelledView] = []
     for view in sample.views:
@@ -112,16 +110,17 @@ def _plain_joints(model: RidgePose, parts: list[LabelledView]) -> tuple[ndarray,
 
 def segmentation(bench: Bench) -> None:
     """The person before a static room, against the bare comparison with the background."""
-    posed = BodyModel.load().shape(ONE_CHARACTER).pose(PosturePrior.load().sample(np.random.default_rng(7))[0])
+    rng = np.random.default_rng(7)
+    posed = random_dressed(rng, "easy").pose(PosturePrior.load().sample(rng)[0])
     centre = posed.vertices.mean(0).astype(float)
     camera = camera_before(centre, 2.6)
     x, y, floor = float(centre[0]), float(centre[1]), float(posed.vertices[:, 2].min()) - 0.005
     chest = Box((x + 0.9, y + 0.8, floor), (x + 1.5, y + 1.6, floor + 0.9))
     room = render_room(Room(Box((x - 3, y - 3.5, floor), (x + 3, y + 2.5, floor + 2.6)), (chest,)), camera)
-    rng, noise = np.random.default_rng(8), SensorNoise()
-    background = apply_noise(room, noise, rng)
-    depth, labels = render_body(posed, camera, room)
-    view, truth = View(camera, apply_noise(depth, noise, rng)), labels > 0
+    model = SENSORS["kinect2"].model
+    background = sense(room, None, camera, model, rng)
+    seen = render_person(posed, camera, room)
+    view, truth = View(camera, sense(seen.depth_m, seen.material, camera, model, rng)), seen.person
     segmenter = PersonSegmenter({camera.name: background})
 
     def plain() -> ndarray:

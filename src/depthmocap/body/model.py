@@ -39,7 +39,7 @@ class Phenotype:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class BoneTransforms:
-    """What carries a mesh from rest into a posture: ``point → rotations[b] @ point + offsets[b]``; heads in the world."""
+    """What carries a mesh from rest into a posture: ``point → rotations[b] @ point + offsets[b]``. Heads are joints."""
 
     rotations: Float[ndarray, "b 3 3"]
     offsets: Float[ndarray, "b 3"]
