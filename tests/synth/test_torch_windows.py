@@ -160,10 +160,14 @@ def test_windows_drawn_at_once(people: list[PosedPerson], cameras: list[DepthCam
 
 
 def test_a_person_that_the_border_cuts(people: list[PosedPerson], cameras: list[DepthCamera]) -> None:
-    cut = [dataclasses.replace(camera, cx=camera.cx - 120, cy=camera.cy + 60) for camera in cameras]
-    got, labels = drawn(people[3:], cut[3:])
-    for i in range(2):
-        window, expected = expected_window(people[3 + i], cut[3 + i])
+    person, camera = people[3], cameras[3]
+    shifts = ((-150, 60), (150, -60), (0, 120), (0, -120))
+    cut = [dataclasses.replace(camera, cx=camera.cx + x, cy=camera.cy + y) for x, y in shifts]
+    got, labels = drawn([person] * 4, cut)
+    whole = np.count_nonzero(render_person(person, camera).labels)
+    for i in range(4):
+        assert 200 < np.count_nonzero(render_person(person, cut[i]).labels) < 0.95 * whole
+        window, expected = expected_window(person, cut[i])
         assert window.step <= 1
         assert float(got.step[i]) == window.step
         assert np.count_nonzero(np.abs(got.inputs[i].numpy() - window.inputs).max(0) > 1e-3) <= 3
