@@ -6,19 +6,14 @@ import dataclasses
 
 import numpy as np
 
-from depthmocap.body.model import Body, BodyModel, Phenotype
-from depthmocap.body.regions import REGION
+from depthmocap.body.model import BodyModel, Phenotype
 from depthmocap.synth.bodies import (
     ONE_CHARACTER,
-    ORDINARY_CLOTHES,
-    Outfit,
-    dress,
     random_dressed,
-    random_outfit,
     random_phenotype,
     sixteen_characters,
 )
-from depthmocap.synth.wardrobe import HELD_OUT_FAMILY
+from depthmocap.synth.wardrobe import HELD_OUT_FAMILY, ORDINARY_CLOTHES
 
 
 def test_the_sixteen_are_fixed_adults() -> None:
@@ -37,36 +32,6 @@ def test_random_phenotypes_are_of_all_kinds() -> None:
         assert values.max() <= 1
         assert np.ptp(values) > 0.7
     assert 20 < sum(person.age < 0.5 for person in people) < 90
-
-
-def test_no_outfit_is_bare_skin(default_body: Body) -> None:
-    bare = dress(default_body, Outfit(), np.random.default_rng(0))
-    np.testing.assert_array_equal(bare.rest_vertices, default_body.rest_vertices)
-
-
-def test_outfit_pushes_the_covered_skin_outwards(body_model: BodyModel, default_body: Body) -> None:
-    outfit = Outfit(top_m=0.02, folds=0.0, long_sleeves=False)
-    dressed = dress(default_body, outfit, np.random.default_rng(0))
-    shift = dressed.rest_vertices - default_body.rest_vertices
-
-    def vertices(region: str) -> np.ndarray:
-        return np.unique(body_model.faces[body_model.face_regions == REGION[region]])
-
-    assert np.median(np.linalg.norm(shift[vertices("chest R")], axis=1)) == np.float32(0.02)
-    assert shift[vertices("chest R"), 1].mean() < -0.005  # forwards
-    assert shift[vertices("upper back L"), 1].mean() > 0.01
-    assert not shift[vertices("forearm L")].any()
-    assert not shift[vertices("shin L")].any()
-    # The skeleton stays.
-    np.testing.assert_array_equal(dressed.rest_heads, default_body.rest_heads)
-
-
-def test_random_outfits_depend_on_the_generator(default_body: Body) -> None:
-    dressed = [dress(default_body, random_outfit(rng), rng) for rng in map(np.random.default_rng, (1, 1, 2))]
-    np.testing.assert_array_equal(dressed[0].rest_vertices, dressed[1].rest_vertices)
-    assert np.abs(dressed[0].rest_vertices - dressed[2].rest_vertices).max() > 0.003
-    thickness = np.linalg.norm(dressed[0].rest_vertices - default_body.rest_vertices, axis=1)
-    assert thickness.max() < 0.15
 
 
 def test_easy_and_inter_have_one_character_in_ordinary_clothes(body_model: BodyModel) -> None:

@@ -2,35 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray
 
-from depthmocap.body.model import Body, BodyModel, Phenotype
-from depthmocap.body.regions import REGION_NAMES
-from depthmocap.kernels.skin import vertex_normals
+from depthmocap.body.model import BodyModel, Phenotype
 from depthmocap.synth.garments import DressedBody, clothe
-from depthmocap.synth.wardrobe import ORDINARY_CLOTHES, Clothes, Garment, random_clothes
-
-__all__ = [
-    "ONE_CHARACTER",
-    "ORDINARY_CLOTHES",
-    "Clothes",
-    "DressedBody",
-    "Garment",
-    "Outfit",
-    "clothe",
-    "dress",
-    "random_clothes",
-    "random_dressed",
-    "random_outfit",
-    "random_phenotype",
-    "sixteen_characters",
-]
+from depthmocap.synth.wardrobe import ORDINARY_CLOTHES, random_clothes
 
 #: The one character of easy and inter, and the first of the sixteen of hard.
 ONE_CHARACTER = Phenotype(gender=0.0, age=0.65, muscle=0.55, weight=0.5, height=0.5)
@@ -82,71 +61,3 @@ def random_dressed(
     phenotype = random_phenotype(rng)
     body = BodyModel.load().shape(phenotype)
     return clothe(body, random_clothes(rng, held_out, phenotype.gender), rng)
-
-
-@dataclasses.dataclass(frozen=True)
-class Outfit:
-    """Thickness (metres) that clothes, shoes and hair add over the skin, with folds; zero is bare."""
-
-    top_m: float = 0.0
-    bottom_m: float = 0.0
-    shoes_m: float = 0.0
-    hair_m: float = 0.0
-    folds: float = 0.5
-    long_sleeves: bool = True
-    long_legs: bool = True
-
-
-def random_outfit(rng: np.random.Generator) -> Outfit:
-    """Anything from bare to a thick jacket and full hair."""
-    return Outfit(
-        top_m=float(rng.choice([0.004, 0.012, 0.025]) * rng.uniform(0.5, 1.5)),
-        bottom_m=float(rng.choice([0.004, 0.01, 0.02]) * rng.uniform(0.5, 1.5)),
-        shoes_m=float(rng.uniform(0, 0.012)),
-        hair_m=float(rng.choice([0.0, 0.015, 0.04]) * rng.uniform(0.5, 1.5)),
-        folds=float(rng.uniform(0.2, 1.0)),
-        long_sleeves=bool(rng.random() < 0.5),
-        long_legs=bool(rng.random() < 0.7),
-    )
-
-
-def _cover(names: tuple[str, ...], model: BodyModel) -> Float[ndarray, "v"]:
-    """1 on the vertices of the named kinds of region, 0 elsewhere, softened over one ring of faces."""
-    chosen = np.array([name.removesuffix(" R").removesuffix(" L") in names for name in REGION_NAMES])
-    inside = chosen[model.face_regions].astype(np.float32)
-    corners = model.faces.reshape(-1)
-    count = np.bincount(corners, minlength=int(corners.max()) + 1)
-    return (np.bincount(corners, np.repeat(inside, 3)) / np.maximum(count, 1)).astype(np.float32)
-
-
-@functools.cache
-def _covers(model: BodyModel) -> dict[str, Float[ndarray, "v"]]:
-    trunk = ("chest", "belly", "upper back", "lower back", "collar", "shoulder front", "shoulder back", "nape")
-    return {
-        "top": _cover((*trunk, "upper arm"), model),
-        "sleeves": _cover(("elbow", "forearm", "wrist"), model),
-        "bottom": _cover(("thigh", "knee", "lower back"), model),
-        "legs": _cover(("shin", "ankle"), model),
-        "shoes": _cover(("forefoot", "ankle"), model),
-        "hair": _cover(("hair", "forehead"), model),
-    }
-
-
-def dress(body: Body, outfit: Outfit, rng: np.random.Generator) -> Body:
-    """The body with its skin pushed out by an outfit. The depth shows the clothes; the labels stay the skin's."""
-    covers = _covers(body.model)
-    thickness = outfit.top_m * (covers["top"] + outfit.long_sleeves * covers["sleeves"])
-    thickness = thickness + outfit.bottom_m * (covers["bottom"] + outfit.long_legs * covers["legs"])
-    thickness = thickness + outfit.shoes_m * covers["shoes"]
-    rest = body.rest_vertices
-    wave = np.zeros(len(rest), dtype=np.float32)
-    for _ in range(4):  # folds: a few random waves over the skin, 5–25 cm long
-        direction = rng.normal(size=3)
-        direction *= 2 * np.pi / rng.uniform(0.05, 0.25) / np.linalg.norm(direction)
-        wave += np.sin(rest @ direction.astype(np.float32) + np.float32(rng.uniform(0, 2 * np.pi)))
-    thickness = thickness * np.maximum(1 + outfit.folds * wave * 0.35, 0) + outfit.hair_m * covers["hair"] * (
-        1 + 0.2 * wave
-    )
-    normals = np.empty_like(rest)
-    vertex_normals(rest, body.model.faces, normals)
-    return body.with_vertices(rest + normals * thickness[:, None].astype(np.float32))
