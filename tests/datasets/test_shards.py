@@ -111,7 +111,6 @@ def test_a_full_disk_leaves_nothing(tmp_path):
     path = tmp_path / "shard-000000.tar"
     writer = ShardWriter(path)
     with pytest.raises(OSError, match="No space"), writer:
-        writer._tar.fileobj.close()
         writer._tar.fileobj = FullDisk()
         for i in range(10):
             writer.write(i, samples(1)[0][1], np.zeros((18, 3)), 0)

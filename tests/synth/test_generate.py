@@ -172,7 +172,7 @@ def test_damage_of_the_last_shard_is_named(tmp_path: Path) -> None:
     last.write_bytes(last.read_bytes()[:5000])
     with pytest.raises(InputError, match=r"shard-000002\.tar is damaged.*remove it and run"):
         run(tmp_path, "shards", 9)
-    last.unlink()
+    last.replace(last.with_name(last.name + ".part-1"))  # as killed processes leave
     assert tree(run(tmp_path, "shards")) == tree(run(tmp_path / "whole", "shards"))
 
 
@@ -197,6 +197,20 @@ def test_numbers_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[st
         assert main(["synth", "--out", str(tmp_path / "none"), option, "-1"]) == 2
         assert option in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
+
+
+def make_up_unit(unit: units.Unit) -> units.Made:
+    """In a process of its own, where nothing is patched."""
+    units.draw = made_up
+    return units.make_unit(unit)
+
+
+def test_processes_make_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    here = run(tmp_path / "here")
+    monkeypatch.setattr(generate_module, "make_unit", make_up_unit)
+    there = run(tmp_path / "there", workers=2)
+    unlike = {name for name, data in tree(here).items() if tree(there).get(name) != data}
+    assert unlike == {"card.html"}  # the pictures, which are made up only here
 
 
 SCRIPT = """

@@ -79,20 +79,22 @@ class ShardWriter:
         self._unfinished = self.path.with_name(f"{self.path.name}.part-{os.getpid()}")
 
     def __enter__(self) -> ShardWriter:
-        self._tar = tarfile.open(self._unfinished, "w", format=tarfile.USTAR_FORMAT)
+        self._file = self._unfinished.open("wb")
+        self._tar = tarfile.open(fileobj=self._file, mode="w", format=tarfile.USTAR_FORMAT)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            if error is None:
+            with self._file:
+                if error is not None:
+                    return
                 self._tar.close()
-                self._unfinished.replace(self.path)
+                self._file.flush()
+                os.fsync(self._file.fileno())  # not even a power failure leaves a final name on half a shard
+            self._unfinished.replace(self.path)
         finally:
-            # Past a full disk the archive cannot be ended, only left.
-            if self._tar.fileobj is not None:
-                self._tar.fileobj.close()
             self._unfinished.unlink(missing_ok=True)
 
     def write(

@@ -99,8 +99,7 @@ class ShardFolder:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        for left in folder.glob("shard-*.tar.part-*"):  # by a killed run
-            left.unlink()
+        self.close()
         numbers = [int(path.stem.removeprefix("shard-")) for path in folder.glob("shard-*.tar")]
         self._made = set(numbers)
         self._last = max(numbers, default=-1)
@@ -119,7 +118,9 @@ class ShardFolder:
         """A shard is complete by itself."""
 
     def close(self) -> None:
-        """Nothing is left to store."""
+        """Remove what killed processes left."""
+        for left in self._folder.glob("shard-*.tar.part-*"):
+            left.unlink()
 
 
 class Ubc3vFolder:
@@ -132,7 +133,7 @@ class Ubc3vFolder:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        numbers = [int(path.name) for path in folder.glob("[1-9]*") if (path / "groundtruth.mat").exists()]
+        numbers = [int(path.parent.name) for path in folder.glob("*/groundtruth.mat") if path.parent.name.isdecimal()]
         last = max(numbers, default=1)
         self._writer = self._open(last)
         self.begun = (last - 1) * FRAMES_PER_SECTION + len(self._writer)
