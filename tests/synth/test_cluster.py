@@ -24,6 +24,12 @@ def test_a_missing_ray_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
         list(ordered_on_ray(str, [1], "local"))
 
 
+def test_nobody_at_the_address() -> None:
+    pytest.importorskip("ray")
+    with pytest.raises(InputError, match=r"no Ray cluster at --ray ray://127\.0\.0\.1:1 .*refused"):
+        list(ordered_on_ray(str, [1], "ray://127.0.0.1:1"))
+
+
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory):
     ray = pytest.importorskip("ray")

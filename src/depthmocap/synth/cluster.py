@@ -5,6 +5,7 @@ from __future__ import annotations
 import collections
 import itertools
 import logging
+import socket
 from collections.abc import Callable, Generator, Iterable
 from typing import Any, TypeVar
 
@@ -41,8 +42,9 @@ def ordered_on_ray(
     ours = not ray.is_initialized()
     if ours:
         try:
+            _knock(address)
             ray.init(address=address, log_to_driver=False, logging_level=logging.WARNING)
-        except (ConnectionError, ValueError, RuntimeError) as error:
+        except (OSError, ValueError, RuntimeError) as error:
             reason = str(error).partition("\n")[0]
             raise InputError(f"no Ray cluster at --ray {address} ({reason}): start one, or give local") from None
     try:
@@ -68,6 +70,13 @@ def ordered_on_ray(
     finally:
         if ours:
             ray.shutdown()
+
+
+def _knock(address: str) -> None:
+    """Raises an ``OSError`` at once where nobody listens: Ray itself waits for minutes."""
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    if host and port.isdecimal():
+        socket.create_connection((host, int(port)), timeout=10).close()
 
 
 def _with_one_thread(function: Callable[[_Task], _Result], task: _Task) -> _Result:
