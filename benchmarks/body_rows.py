@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import Any
 
 import numpy as np
@@ -78,8 +79,7 @@ def rendering(bench: Bench) -> None:
 
 def rendering_open3d(bench: Bench) -> None:
     """One view of a body against Open3D's ray casting, on one thread each and with Open3D on all."""
-    import open3d
-
+    open3d: Any = importlib.import_module("open3d")  # not in the extras: it brings a notebook's worth of packages
     body = BodyModel.load().shape(ONE_CHARACTER)
     posed = body.pose(PosturePrior.load().sample(np.random.default_rng(1))[0])
     camera = camera_before(posed.vertices.mean(0).astype(float), 2.0)

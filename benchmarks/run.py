@@ -21,6 +21,8 @@ from pathlib import Path
 from typing import Any
 
 import body_rows
+import engine_rows
+import gpu_rows
 import label_rows
 import pose_rows
 import tyro
@@ -98,6 +100,9 @@ def measure(settings: Settings, folder: Path, console: Console) -> Bench:
         "rendering": body_rows.rendering,
         "rendering beside Open3D": body_rows.rendering_open3d,
         "posing": body_rows.posing,
+        "rendering on a GPU": gpu_rows.rows,
+        "making frames": engine_rows.frames,
+        "writing frames": engine_rows.written,
         "labelling": label_rows.labelling,
         "segmentation": pose_rows.segmentation,
         "joints": pose_rows.joints,
