@@ -50,7 +50,7 @@ class PosturePool:
         return np.flatnonzero((self.splits == SPLITS.index(split)) & (self.simple | (not simple)))
 
     def save(self, path: Path) -> None:
-        """Write the pool, about 85 bytes a posture. The file appears whole or not at all."""
+        """Write the pool, about 100 bytes a posture. The file appears whole or not at all."""
         part = path.with_name(f".{path.name}.part.npz")
         try:
             np.savez_compressed(
