@@ -37,7 +37,7 @@ class ClassifierTraining:
     Attributes:
         out: folder of the run: settings.json, history.jsonl, curves.png, checkpoint.pt, classifier.safetensors/.onnx.
         data: "synth" makes pictures on the fly; a folder is read as a UBC3V root (its --subset's train and valid).
-        postures: folder of BVH clips; without it postures come from the packaged prior.
+        postures: folder of motion capture clips, or a pool made of them; without it the packaged prior.
         subset: who is in the pictures: easy, inter, hard (as in the paper) or open (all builds); by default open
             bodies are made, and hard is read from a folder.
         network: which network.
@@ -48,6 +48,7 @@ class ClassifierTraining:
         start: a .safetensors file to start from.
         workers: processes that make pictures; 0 makes them between steps.
         valid_every: pictures between two validations.
+        bfloat16: multiply in half precision; some processors are faster without.
     """
 
     out: Path
@@ -66,6 +67,7 @@ class ClassifierTraining:
     valid_every: int = 8000
     valid_images: int = 320
     device: str = "cpu"
+    bfloat16: bool = True
 
     @property
     def people(self) -> Subset:
@@ -218,7 +220,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
             network.train()
             x = x.to(settings.device).to(memory_format=torch.channels_last)
             y = y.to(settings.device)
-            with torch.autocast(settings.device.split(":")[0], torch.bfloat16):
+            with torch.autocast(settings.device.split(":")[0], torch.bfloat16, enabled=settings.bfloat16):
                 logits = network(x)
             chosen, truth = masked_logits(logits, y, (x[:, 1] > 0) & (y != UNLABELLED))
             loss = nn.functional.cross_entropy(chosen.float(), truth.long())

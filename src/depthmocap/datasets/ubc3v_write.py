@@ -35,7 +35,7 @@ from depthmocap.datasets.ubc3v import (
 )
 from depthmocap.frames import View
 from depthmocap.geometry.transforms import z_up_from
-from depthmocap.kernels.png import depth_levels
+from depthmocap.kernels.levels import depth_levels
 
 #: Maya joints that hold no target joint, and the joint they get: the nearest to where their parent's frame sits.
 _FILLED = {

@@ -37,7 +37,7 @@ class PoseTraining:
         data: "synth" makes samples; a folder is read as a UBC3V root (its <subset>-pose/train).
         labels: fit on the true labels or on the network's.
         weights: a classifier.onnx of your own.
-        postures: folder of BVH clips; without it postures come from the packaged prior.
+        postures: folder of motion capture clips, or a pool made of them; without it the packaged prior.
         subset: who is in the samples: easy, inter, hard, or open (all builds); by default open bodies are made, and
             hard is read from a folder.
         samples: postures.
