@@ -13,10 +13,10 @@ from depthmocap.body.model import Body, BodyModel
 from depthmocap.body.posture import world_rotations
 from depthmocap.geometry import DepthCamera, look_at
 from depthmocap.geometry.transforms import transform_points
-from depthmocap.synth.bodies import ONE_CHARACTER
-from depthmocap.synth.postures import PosturePrior
+from depthmocap.synth.motion.postures import PosturePrior
+from depthmocap.synth.people.bodies import ONE_CHARACTER
 from depthmocap.synth.render import render_body
-from depthmocap.synth.sensors import SENSORS
+from depthmocap.synth.sensing.sensors import SENSORS
 
 GOAL_MS = 2.0
 BATCH = 32

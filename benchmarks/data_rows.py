@@ -12,9 +12,9 @@ from timing import Bench, Reference
 from depthmocap.body.regions import UNLABELLED
 from depthmocap.datasets.ubc3v import encode_depth, encode_labels, image_paths
 from depthmocap.datasets.ubc3v_write import write_images
+from depthmocap.synth.output.stream import draw
+from depthmocap.synth.output.units import Unit, make_unit
 from depthmocap.synth.sample import Recipe
-from depthmocap.synth.stream import draw
-from depthmocap.synth.units import Unit, make_unit
 
 _SAMPLES = 6
 _VIEWS = 3

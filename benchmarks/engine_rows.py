@@ -12,14 +12,14 @@ from rich.console import Console
 from timing import Bench, Row, Timing
 
 from depthmocap.body.model import BodyModel
-from depthmocap.synth.bodies import random_phenotype
-from depthmocap.synth.generate import SynthSettings, generate
-from depthmocap.synth.postures import PosturePrior
+from depthmocap.synth.motion.postures import PosturePrior
+from depthmocap.synth.output.generate import SynthSettings, generate
+from depthmocap.synth.output.stream import ordered
+from depthmocap.synth.output.units import Layout
+from depthmocap.synth.people.bodies import random_phenotype
 from depthmocap.synth.render import PosedPerson
 from depthmocap.synth.sample import CameraRange, Recipe, Sampler, random_camera, see
-from depthmocap.synth.sensors import SENSORS
-from depthmocap.synth.stream import ordered
-from depthmocap.synth.units import Layout
+from depthmocap.synth.sensing.sensors import SENSORS
 
 _VIEWS = 3
 #: Samples a task, and tasks a timed run.

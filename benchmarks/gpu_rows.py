@@ -10,14 +10,14 @@ from torch import Tensor
 
 from depthmocap.classify.preprocess import make_window
 from depthmocap.geometry import DepthCamera
-from depthmocap.synth.bodies import random_dressed
-from depthmocap.synth.garments import DressedBody
-from depthmocap.synth.postures import PosturePrior
+from depthmocap.synth.gpu.torch_bank import BodiesInPostures, BodyBank, PosedPeople, rest_layers
+from depthmocap.synth.gpu.torch_noise import TorchNoise
+from depthmocap.synth.gpu.torch_render import TorchCameras, TorchLayers, render_people
+from depthmocap.synth.gpu.torch_source import TorchSynth, TorchSynthSettings
+from depthmocap.synth.motion.postures import PosturePrior
+from depthmocap.synth.people.bodies import random_dressed
+from depthmocap.synth.people.garments import DressedBody
 from depthmocap.synth.render import PosedPerson, render_person
-from depthmocap.synth.torch_bank import BodiesInPostures, BodyBank, PosedPeople, rest_layers
-from depthmocap.synth.torch_noise import TorchNoise
-from depthmocap.synth.torch_render import TorchCameras, TorchLayers, render_people
-from depthmocap.synth.torch_source import TorchSynth, TorchSynthSettings
 
 #: 10,000 windows a second.
 GOAL_MS = 0.1

@@ -24,13 +24,13 @@ from depthmocap.pose.estimate import estimate_joints
 from depthmocap.pose.features import FEATURE_COUNT, FEATURES_PER_REGION, MIN_POINTS, cloud_features
 from depthmocap.pose.ridge import RidgeBank, RidgePose
 from depthmocap.pose.smooth import DEFAULT_WEIGHTS
-from depthmocap.synth.bodies import random_dressed
-from depthmocap.synth.postures import PosturePrior
+from depthmocap.synth.motion.postures import PosturePrior
+from depthmocap.synth.people.bodies import random_dressed
 from depthmocap.synth.render import render_person
-from depthmocap.synth.room import Box, Room, render_room
 from depthmocap.synth.sample import CameraRange, Recipe, Sampler
-from depthmocap.synth.sensor import sense
-from depthmocap.synth.sensors import SENSORS
+from depthmocap.synth.scenes.room import Box, Room, render_room
+from depthmocap.synth.sensing.sensor import sense
+from depthmocap.synth.sensing.sensors import SENSORS
 
 POSE_GOAL_MS = 10.0
 #: As near as a body fits into a Kinect 2's picture: about 30,000 pixels.

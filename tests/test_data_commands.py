@@ -17,7 +17,7 @@ from depthmocap.datasets.ubc3v import Section, sections
 from depthmocap.evaluate.ubc3v import Ubc3vEvaluation, evaluate_ubc3v
 from depthmocap.pose.ridge import RidgeBank
 from depthmocap.pose.train import PoseTraining, train_pose
-from depthmocap.synth.generate import SynthSettings, generate
+from depthmocap.synth.output.generate import SynthSettings, generate
 from depthmocap.synth.sample import Recipe
 
 

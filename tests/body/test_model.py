@@ -22,7 +22,7 @@ from depthmocap.body.regions import MIRROR, REGION, REGION_NAMES
 from depthmocap.body.skeleton import BONES, JOINT_INDEX
 from depthmocap.body.skeleton import MIRROR as JOINT_MIRROR
 from depthmocap.geometry import DepthCamera, look_at
-from depthmocap.synth.postures import PosturePrior
+from depthmocap.synth.motion.postures import PosturePrior
 from depthmocap.synth.render import render_body
 
 FLIP_X = np.array([-1.0, 1.0, 1.0])

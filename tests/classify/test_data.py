@@ -13,8 +13,8 @@ from depthmocap.classify import data
 from depthmocap.classify.data import Spoiling, training_window
 from depthmocap.classify.preprocess import WINDOW
 from depthmocap.errors import InputError
-from depthmocap.synth.postures import TRAINING_VARIATION, PosturePrior
-from depthmocap.synth.sensors import SENSORS
+from depthmocap.synth.motion.postures import TRAINING_VARIATION, PosturePrior
+from depthmocap.synth.sensing.sensors import SENSORS
 
 OFTEN = Spoiling()
 NEVER = Spoiling(truncate=0.0, scene=0.0, floor=0.0, occlude=0.0, erode=0.0)

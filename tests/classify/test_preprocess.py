@@ -10,7 +10,7 @@ import pytest
 from depthmocap.body.model import Body
 from depthmocap.classify.preprocess import DEPTH_SCALE_M, MIN_PIXELS, PERSON, PIXEL_M, WINDOW, make_window
 from depthmocap.geometry import DepthCamera, look_at
-from depthmocap.synth.postures import PosturePrior
+from depthmocap.synth.motion.postures import PosturePrior
 from depthmocap.synth.render import render_body
 
 

@@ -9,7 +9,7 @@ import pytest
 from depthmocap.body.model import REST_POSTURE, Body, PosedBody
 from depthmocap.geometry import DepthCamera, look_at, transform_points
 from depthmocap.kernels.raster import rasterise
-from depthmocap.synth.postures import PosturePrior
+from depthmocap.synth.motion.postures import PosturePrior
 from depthmocap.synth.render import NEAR_M, render_body
 
 WIDTH, HEIGHT, FX, FY, CX, CY = 160, 120, 140.0, 138.0, 80.5, 58.25

@@ -10,8 +10,9 @@ import pytest
 from depthmocap.body.model import BodyModel
 from depthmocap.errors import InputError
 from depthmocap.geometry import is_rigid, transform_points
-from depthmocap.synth.bodies import random_dressed
-from depthmocap.synth.postures import PosturePrior
+from depthmocap.synth.motion.postures import PosturePrior
+from depthmocap.synth.people.bodies import random_dressed
+from depthmocap.synth.people.wardrobe import HELD_OUT_FAMILY
 from depthmocap.synth.sample import (
     ANY_SENSOR,
     BENCH,
@@ -23,8 +24,7 @@ from depthmocap.synth.sample import (
     draw_sample,
     random_camera,
 )
-from depthmocap.synth.sensors import HELD_OUT_SENSOR, SENSORS
-from depthmocap.synth.wardrobe import HELD_OUT_FAMILY
+from depthmocap.synth.sensing.sensors import HELD_OUT_SENSOR, SENSORS
 
 KINECT2 = SENSORS["ubc3v"]
 

@@ -14,13 +14,13 @@ from depthmocap.body.regions import REGION, UNLABELLED
 from depthmocap.classify.preprocess import make_window
 from depthmocap.errors import InputError
 from depthmocap.geometry.cameras import DepthCamera
-from depthmocap.synth.bodies import random_dressed
-from depthmocap.synth.postures import PostureSource
+from depthmocap.synth.motion.postures import PostureSource
+from depthmocap.synth.people.bodies import random_dressed
 from depthmocap.synth.render import Material, PosedPerson, Rendering, render_person
 from depthmocap.synth.sample import CameraRange, Subset, random_camera
-from depthmocap.synth.scene import TRAINING, random_scene, render_scene
-from depthmocap.synth.sensor import sense
-from depthmocap.synth.sensors import random_model, random_preset
+from depthmocap.synth.scenes.scene import TRAINING, random_scene, render_scene
+from depthmocap.synth.sensing.sensor import sense
+from depthmocap.synth.sensing.sensors import random_model, random_preset
 
 _PLACES = CameraRange(distance_m=(1.2, 4.5), height_m=(0.1, 3.0), aim_m=0.1, roll_rad=0.06)
 _FEET = np.isin(np.arange(44), [REGION[f"{part} {side}"] for part in ("ankle", "forefoot") for side in "RL"])

@@ -26,7 +26,7 @@ from depthmocap.classify.preprocess import make_window
 from depthmocap.errors import InputError
 from depthmocap.evaluate.metrics import PixelAccuracy
 from depthmocap.settings import plain_settings
-from depthmocap.synth.postures import TRAINING_VARIATION, posture_source
+from depthmocap.synth.motion.postures import TRAINING_VARIATION, posture_source
 from depthmocap.synth.sample import Subset
 
 

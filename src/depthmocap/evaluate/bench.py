@@ -17,8 +17,8 @@ from depthmocap.errors import InputError
 from depthmocap.evaluate.synthetic import Labels, measure, print_numbers
 from depthmocap.frames import FrameSet
 from depthmocap.pipeline import load_ridge
+from depthmocap.synth.output.stream import stream, usable_cores
 from depthmocap.synth.sample import BENCH, Recipe
-from depthmocap.synth.stream import stream, usable_cores
 
 
 @dataclasses.dataclass(frozen=True)

@@ -38,7 +38,7 @@ class Pinhole(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """The numbers of ``depthmocap.synth.sensor.SensorModel`` that :func:`read` uses."""
+    """The numbers of ``depthmocap.synth.sensing.sensor.SensorModel`` that :func:`read` uses."""
 
     axial_0: float
     axial_1: float

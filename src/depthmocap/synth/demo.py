@@ -20,13 +20,13 @@ from depthmocap.body.model import BodyModel, Phenotype
 from depthmocap.capture.recording import RecordingWriter
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import DepthCamera, Rig, look_at
-from depthmocap.synth.garments import DressedBody, clothe
+from depthmocap.synth.motion.sequence import DEMO_SECONDS, demo_motion, pose_sequence
+from depthmocap.synth.people.garments import DressedBody, clothe
+from depthmocap.synth.people.wardrobe import ORDINARY_CLOTHES
 from depthmocap.synth.render import Material, render_person
-from depthmocap.synth.room import Box, Room, render_room, shelf, table
-from depthmocap.synth.sensor import sense
-from depthmocap.synth.sensors import SENSORS, SensorPreset
-from depthmocap.synth.sequence import DEMO_SECONDS, demo_motion, pose_sequence
-from depthmocap.synth.wardrobe import ORDINARY_CLOTHES
+from depthmocap.synth.scenes.room import Box, Room, render_room, shelf, table
+from depthmocap.synth.sensing.sensor import sense
+from depthmocap.synth.sensing.sensors import SENSORS, SensorPreset
 
 FPS = 8.0
 SETS = round(DEMO_SECONDS * FPS)

@@ -16,12 +16,12 @@ from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.geometry.transforms import look_at
-from depthmocap.synth.bodies import random_dressed
-from depthmocap.synth.postures import TRAINING_VARIATION, PostureSource, Variation, posture_source
+from depthmocap.synth.motion.postures import TRAINING_VARIATION, PostureSource, Variation, posture_source
+from depthmocap.synth.people.bodies import random_dressed
 from depthmocap.synth.render import PosedPerson, Rendering, render_person
-from depthmocap.synth.scene import OFF, SCENE_PRESETS, Scene, random_scene, render_scene
-from depthmocap.synth.sensor import sense
-from depthmocap.synth.sensors import HELD_OUT_SENSOR, SENSORS, SensorPreset, find_sensor, random_model
+from depthmocap.synth.scenes.scene import OFF, SCENE_PRESETS, Scene, random_scene, render_scene
+from depthmocap.synth.sensing.sensor import sense
+from depthmocap.synth.sensing.sensors import HELD_OUT_SENSOR, SENSORS, SensorPreset, find_sensor, random_model
 
 Subset = Literal["easy", "inter", "hard", "open"]
 Split = Literal["train", "valid", "test"]
@@ -204,7 +204,7 @@ class Sampler:
         for attempt in range(_TRIES):
             rng = np.random.default_rng([self.seed, SPLITS.index(self.recipe.split), index, attempt])
             sample = draw_sample(rng, self.recipe, self._postures)
-            if any(np.count_nonzero(view.mask) >= _FEWEST_PIXELS for view in sample.views):
+            if any(view.mask is not None and view.mask.sum() >= _FEWEST_PIXELS for view in sample.views):
                 return sample
         raise InputError(
             f"sample {index}: no camera sees the person in {_TRIES} tries; bring the cameras nearer (within the "

@@ -1,0 +1,1 @@
+"""The renderer, windows and training batches in torch, for a GPU."""

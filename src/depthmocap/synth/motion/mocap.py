@@ -1,0 +1,252 @@
+"""Motion capture clips as postures: the files of a folder, flips and impossible frames left out."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import re
+import zlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray
+from scipy.spatial.transform import Rotation
+
+from depthmocap.body.posture import heading, turn_posture
+from depthmocap.errors import InputError
+from depthmocap.synth.motion.clips.amc import AMC_FPS, AsfSkeleton, read_amc_motion, read_asf
+from depthmocap.synth.motion.clips.bvh import read_bvh_motion
+from depthmocap.synth.motion.clips.motion import Motion
+from depthmocap.synth.motion.clips.retarget import retarget
+from depthmocap.synth.motion.clips.skeletons import Joints, map_skeleton
+from depthmocap.synth.motion.limits import within_limits
+
+SPLITS = ("train", "valid", "test")
+#: A bone that turns faster than this between two frames at 30 frames a second has flipped.
+_FLIP_RAD_PER_S = np.deg2rad(55) * 30
+#: Easy postures are of clips described so, as in the paper.
+_SIMPLE = re.compile(r"\b(walk|run|jog)(s|ing|ning|ging)?\b", re.IGNORECASE)
+_SUFFIXES = (".bvh", ".amc")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Clip:
+    """Postures of one motion capture clip, heading kept. ``simple`` marks what is described as walk or run.
+
+    Attributes:
+        frames: about 30 a second, before flips and impossible frames were left out.
+        flipped, impossible: how many were.
+        skeleton: which joint is which of our bones, and how that was found.
+    """
+
+    name: str
+    postures: Float[ndarray, "n 20 3"]
+    simple: bool
+    split: str
+    frames: int = 0
+    flipped: int = 0
+    impossible: int = 0
+    skeleton: str = ""
+
+
+@dataclasses.dataclass(frozen=True)
+class SkippedClip:
+    """A file that gave no postures, and why, in one line."""
+
+    name: str
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
+class ClipReading:
+    """How the files of a folder are read.
+
+    Attributes:
+        joints: joint of a posture bone, for files whose names fit no scheme.
+        skeletons: ASF file by the part of an AMC file's name before the underscore, where it is not of that name.
+    """
+
+    joints: Joints = dataclasses.field(default_factory=dict)
+    skeletons: dict[str, str] = dataclasses.field(default_factory=dict)
+
+
+def split_of(clip: str) -> str:
+    """The split a clip belongs to, by its name alone: about 80 % train, 10 % valid, 10 % test."""
+    bucket = zlib.crc32(clip.encode()) % 10
+    return "test" if bucket == 0 else "valid" if bucket == 1 else "train"
+
+
+def read_bvh(
+    path: Path, anny_rest: dict[str, Float[ndarray, "3"]], joints: Joints | None = None
+) -> tuple[Float[ndarray, "n 20 3"], float]:
+    """Postures of a BVH file and its frame time in seconds.
+
+    Args:
+        path: the file.
+        anny_rest: head of every bone of the body at rest (Z up), which gives our rest directions.
+        joints: the file's joint of posture bones, where names do not tell.
+
+    Raises:
+        InputError: a file that cannot be parsed, whose joints fit no naming scheme, or that lacks the length of a limb.
+    """
+    motion = read_bvh_motion(path)
+    return _postures(path, motion, anny_rest, joints)[0], motion.frame_time_s
+
+
+def read_amc(
+    path: Path,
+    asf: Path,
+    anny_rest: dict[str, Float[ndarray, "3"]],
+    fps: float = AMC_FPS,
+    joints: Joints | None = None,
+) -> tuple[Float[ndarray, "n 20 3"], float]:
+    """Postures of an AMC file on the skeleton of an ASF file, as :func:`read_bvh`."""
+    motion = read_amc_motion(path, read_asf(asf), fps)
+    return _postures(path, motion, anny_rest, joints)[0], motion.frame_time_s
+
+
+def _postures(
+    path: Path, motion: Motion, anny_rest: dict[str, Float[ndarray, "3"]], joints: Joints | None
+) -> tuple[Float[ndarray, "n 20 3"], str]:
+    try:
+        skeleton = map_skeleton(motion, joints)
+        return retarget(motion, skeleton, anny_rest), skeleton.describe(motion)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _unflipped(postures: Float[ndarray, "n 20 3"], frame_time: float) -> Bool[ndarray, "n"]:
+    """Frames more than a few frames away from a flip of any bone."""
+    flat = Rotation.from_rotvec(postures.reshape(-1, 3))
+    n, bones = postures.shape[:2]
+    keep = np.ones(n, dtype=bool)
+    if n < 2:
+        return keep
+    turn = (flat[:-bones].inv() * flat[bones:]).magnitude().reshape(n - 1, bones).max(1)
+    for frame in np.flatnonzero(turn > _FLIP_RAD_PER_S * frame_time):
+        keep[max(frame - 2, 0) : frame + 4] = False
+    return keep
+
+
+@dataclasses.dataclass(frozen=True)
+class ClipFolder:
+    """The clips of a folder, to be read one by one.
+
+    ``manifest.csv`` (columns file, description and, if wanted, fps), where there is one, tells which clips are walking
+    or running, and the rate of AMC files, which do not tell it themselves (120 otherwise).
+    """
+
+    directory: Path
+    files: Sequence[Path]
+    descriptions: dict[str, str]
+    fps: dict[str, float]
+    reading: ClipReading
+
+    @classmethod
+    def open(cls, directory: Path, reading: ClipReading | None = None) -> ClipFolder:
+        """The folder's list of clips, by name.
+
+        Raises:
+            InputError: no directory, no clip in it, or a manifest without these columns.
+        """
+        # Of two files of one clip the BVH comes first: it needs no other file.
+        files = [path for suffix in _SUFFIXES for path in directory.glob(f"*{suffix}")]
+        files.sort(key=lambda path: (path.stem, _SUFFIXES.index(path.suffix)))
+        if not files:
+            raise InputError(f"{directory}: no .bvh or .amc files; give a folder of motion capture clips")
+        descriptions: dict[str, str] = {}
+        fps: dict[str, float] = {}
+        manifest = directory / "manifest.csv"
+        if manifest.exists():
+            with manifest.open(newline="", encoding="utf-8") as handle:
+                rows = csv.DictReader(handle)
+                if not {"file", "description"} <= set(rows.fieldnames or ()):
+                    raise InputError(f"{manifest} must have the columns file and description, has {rows.fieldnames}")
+                for row in rows:
+                    descriptions[row["file"]] = row["description"] or ""
+                    if row.get("fps"):
+                        fps[row["file"]] = _rate(row["fps"], manifest)
+        return cls(directory, files, descriptions, fps, reading or ClipReading())
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def read(self, anny_rest: dict[str, Float[ndarray, "3"]]) -> Iterator[Clip | SkippedClip]:
+        """Every clip at about 30 postures a second, or why there is none. Bounded memory: one clip at a time."""
+        skeletons: dict[Path, AsfSkeleton] = {}
+        names: set[str] = set()
+        for path in self.files:
+            if path.stem in names:
+                yield SkippedClip(path.name, "a clip of this name was read from a .bvh file")
+                continue
+            try:
+                motion = self._motion(path, skeletons)
+                postures, skeleton = _postures(path, motion, anny_rest, self.reading.joints)
+            except InputError as error:
+                yield SkippedClip(path.name, str(error).removeprefix(f"{path} ").removeprefix(f"{path}: "))
+                continue
+            names.add(path.stem)
+            steady = _unflipped(postures, motion.frame_time_s)
+            possible = within_limits(postures)
+            yield Clip(
+                path.stem,
+                postures[steady & possible],
+                _SIMPLE.search(self.descriptions.get(path.name, "")) is not None,
+                split_of(path.stem),
+                len(postures),
+                int((~steady).sum()),
+                int((steady & ~possible).sum()),
+                skeleton,
+            )
+
+    def _motion(self, path: Path, skeletons: dict[Path, AsfSkeleton]) -> Motion:
+        if path.suffix == ".bvh":
+            return read_bvh_motion(path, every_frame=False)
+        subject = path.stem.partition("_")[0]
+        asf = self.directory / self.reading.skeletons.get(subject, f"{subject}.asf")
+        if not asf.exists():
+            raise InputError(f"{path} has no skeleton: {asf.name} is missing")
+        if asf not in skeletons:
+            skeletons[asf] = read_asf(asf)
+        return read_amc_motion(path, skeletons[asf], self.fps.get(path.name, AMC_FPS), every_frame=False)
+
+
+def _rate(text: str, manifest: Path) -> float:
+    try:
+        rate = float(text)
+    except ValueError:
+        rate = 0.0
+    if not 0 < rate < np.inf:
+        raise InputError(f"{manifest}: fps must be a number above 0, got {text!r}")
+    return rate
+
+
+def read_clips(directory: Path, anny_rest: dict[str, Float[ndarray, "3"]]) -> Iterator[Clip]:
+    """Every readable clip of a directory (see :class:`ClipFolder`).
+
+    Raises:
+        InputError: no directory, no clip in it, none that is readable, or a bad manifest.
+    """
+    skipped: list[SkippedClip] = []
+    read = 0
+    for clip in ClipFolder.open(directory).read(anny_rest):
+        if isinstance(clip, Clip):
+            read += 1
+            yield clip
+        else:
+            skipped.append(clip)
+    check_any_read(directory, read, skipped)
+
+
+def check_any_read(directory: Path, read: int, skipped: Sequence[SkippedClip]) -> None:
+    """Raise InputError when no clip of a directory could be read."""
+    if not read:
+        first = skipped[0]
+        raise InputError(f"{directory}: none of its {len(skipped)} clips is readable; {first.name}: {first.reason}")
+
+
+def without_heading(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n 20 3"]:
+    """The postures turned about the vertical so that every pelvis faces −Y."""
+    return turn_posture(postures, -heading(postures))

@@ -1,0 +1,255 @@
+"""``depthmocap postures build``: the most dissimilar postures of a folder of clips, filled up if few."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Bool, Int
+from numpy import ndarray
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from depthmocap.body.posture import mirror_posture
+from depthmocap.errors import InputError
+from depthmocap.settings import plain_settings
+from depthmocap.synth.motion.clips.skeletons import read_mapping
+from depthmocap.synth.motion.cover import Cover, farthest_points
+from depthmocap.synth.motion.limits import within_limits
+from depthmocap.synth.motion.mocap import SPLITS, Clip, ClipFolder, ClipReading, SkippedClip, check_any_read
+from depthmocap.synth.motion.pool import KINDS, PosturePool
+from depthmocap.synth.motion.postures import UPPER_BONES, anny_rest
+
+#: Candidates held for every posture that is wanted; a farthest-point picking of them is the pool.
+_CANDIDATES = 3
+#: Made-up postures tried at a time; filling ends when fewer than this share of them is distinct.
+_BATCH, _FEWEST = 4096, 0.01
+
+
+@dataclasses.dataclass(frozen=True)
+class PoolBuild:
+    """Settings of ``depthmocap postures build``.
+
+    Attributes:
+        clips: folder of BVH and ASF/AMC files; manifest.csv (file, description, fps) tells which are walking.
+        out: the .npz file to write; give it to --postures of other commands.
+        count: postures, of all splits together.
+        easy: of these, at least so many of walking and running, if there are such clips.
+        preset: "paper": 100,000 postures, 10,000 of them easy, as in the paper.
+        shares: of the postures, for train, valid and test. Clips, not postures, are divided: by their names.
+        spacing_m: no two recorded postures of the pool are nearer than this, in the joint that differs most.
+        fill: make up what the clips do not give: mirrored, recombined and perturbed postures.
+        noise_rad: deviation of a perturbation, an axis of a bone.
+        mapping: JSON file, joint of a posture bone, for skeletons with names of their own.
+        skeletons: ASF file of a subject whose own is missing: --skeletons 88 86.asf 90 86.asf
+    """
+
+    clips: Path
+    out: Path
+    count: int = 100_000
+    easy: int = 0
+    preset: Literal["paper"] | None = None
+    shares: tuple[float, float, float] = (0.8, 0.1, 0.1)
+    spacing_m: float = 0.05
+    fill: bool = True
+    noise_rad: float = 0.08
+    mapping: Path | None = None
+    skeletons: dict[str, str] = dataclasses.field(default_factory=dict)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.out.suffix != ".npz":
+            raise InputError(f"--out must end in .npz, got {self.out}")
+        if self.preset == "paper":
+            object.__setattr__(self, "count", 100_000)
+            object.__setattr__(self, "easy", 10_000)
+        if self.count < 1 or not 0 <= self.easy <= self.count:
+            raise InputError(f"--count must be at least 1 and --easy from 0 to --count, got {self.count}, {self.easy}")
+        if min(self.shares) < 0 or abs(sum(self.shares) - 1) > 1e-6:
+            raise InputError(f"--shares must be three shares that add up to 1, got {self.shares}")
+        if not self.spacing_m > 0 or self.noise_rad < 0:
+            raise InputError(
+                f"--spacing-m must be above 0 and --noise-rad not below, got {self.spacing_m}, {self.noise_rad}"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Quota:
+    count: int
+    easy: int
+
+
+def build_pool(settings: PoolBuild) -> PosturePool:
+    """Read the clips one by one, pick, fill, write the pool, and print what it holds. Memory grows with the number of
+    postures asked for (about 1.5 kB each), not with that of the clips.
+
+    Raises:
+        InputError: no readable clip, or a bad mapping or manifest.
+    """
+    console = Console()
+    joints = read_mapping(settings.mapping) if settings.mapping else {}
+    folder = ClipFolder.open(settings.clips, ClipReading(joints, settings.skeletons))
+    rest = anny_rest()
+    settings.out.parent.mkdir(parents=True, exist_ok=True)
+    quotas = [_Quota(round(settings.count * share), round(settings.easy * share)) for share in settings.shares]
+    covers = [Cover(settings.spacing_m, max(1000, _CANDIDATES * quota.count)) for quota in quotas]
+    read: list[Clip] = []
+    skipped: list[SkippedClip] = []
+    rng = np.random.default_rng(settings.seed)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("reading clips", total=len(folder))
+        for clip in folder.read(rest):
+            if isinstance(clip, Clip):
+                split = SPLITS.index(clip.split)
+                covers[split].add(clip.postures, np.full(len(clip.postures), _tag(len(read), clip.simple, 0)))
+                read.append(dataclasses.replace(clip, postures=clip.postures[:0]))
+            else:
+                skipped.append(clip)
+            progress.advance(task)
+        check_any_read(settings.clips, len(read), skipped)
+        task = progress.add_task("picking postures", total=settings.count)
+        parts, stops, done = [], {}, 0
+        for split, cover, quota in zip(SPLITS, covers, quotas, strict=True):
+
+            def show(picked: int, before: int = done) -> None:
+                progress.update(task, completed=before + picked)
+
+            chosen, stops[split] = _pick(cover, quota, settings, rng, show)
+            parts.append((cover.postures[chosen].copy(), cover.tags[chosen].copy()))
+            done += len(chosen)
+            progress.update(task, completed=done)
+    tags = np.concatenate([tags for _, tags in parts])
+    clips, simple, kinds = _untag(tags)
+    splits = np.repeat(np.arange(len(SPLITS)), [len(tags) for _, tags in parts]).astype(np.uint8)
+    report = {
+        "settings": plain_settings(settings),
+        "clips_read": len(read),
+        "skipped": {clip.name: clip.reason for clip in skipped},
+        "frames": sum(clip.frames for clip in read),
+        "flipped_frames": sum(clip.flipped for clip in read),
+        "impossible_frames": sum(clip.impossible for clip in read),
+        "skeletons": dict(Counter(clip.skeleton for clip in read)),
+        "distances_m": stops,
+    }
+    postures = np.concatenate([postures for postures, _ in parts])
+    pool = PosturePool(postures, clips, splits, simple, kinds, tuple(clip.name for clip in read), report)
+    report["counts"] = counts_of(pool)
+    pool.save(settings.out)
+    _print_report(console, pool, settings)
+    return pool
+
+
+def _tag(clip: int, simple: bool, kind: int) -> int:
+    """Clip, simple and kind of a posture in one number."""
+    return clip * 16 + int(simple) * 8 + kind
+
+
+def _untag(tags: Int[ndarray, "n"]) -> tuple[ndarray, ndarray, ndarray]:
+    return (tags // 16).astype(np.int32), tags % 16 >= 8, (tags % 8).astype(np.uint8)
+
+
+def _pick(
+    cover: Cover, quota: _Quota, settings: PoolBuild, rng: np.random.Generator, show: Any
+) -> tuple[Int[ndarray, "k"], dict[str, float]]:
+    """Indices of a split's postures in its cover, how far apart its candidates are at least, and at which distance
+    picking stopped (metres)."""
+    if not quota.count or not cover.count:
+        return np.zeros(0, dtype=np.int64), {}
+    distances = {"candidates": cover.radius_m, "stop": cover.radius_m}
+    if settings.fill:
+        _fill(cover, quota.easy, True, settings, rng)
+    if cover.count <= quota.count:
+        if settings.fill:
+            _fill(cover, quota.count, False, settings, rng)
+        return np.arange(cover.count), distances
+    simple = _untag(cover.tags)[1]
+    everything = np.ones(cover.count, dtype=bool)
+    chosen, stop = farthest_points(cover.ends, [(simple, quota.easy), (everything, quota.count)], show)
+    return chosen, distances | {"stop": stop}
+
+
+def _fill(cover: Cover, target: int, easy: bool, settings: PoolBuild, rng: np.random.Generator) -> None:
+    """Add made-up postures until there are ``target`` (easy ones, if so): mirrored as far as they go, then half of the
+    rest recombined, the legs of one and the trunk and arms of another, and the other half perturbed. All are
+    within the limits of the joints, and distinct from all others."""
+    recorded = np.flatnonzero(_mine(cover, easy) & (_untag(cover.tags)[2] == KINDS.index("recorded")))
+    if not len(recorded):
+        return
+
+    def missing() -> int:
+        return target - int(_mine(cover, easy).sum())
+
+    def add(postures: ndarray, sources: ndarray, kind: str) -> int:
+        good = within_limits(postures)
+        clips, simple, _ = _untag(cover.tags[sources[good]])
+        tags = clips.astype(np.int64) * 16 + simple * 8 + KINDS.index(kind)
+        return cover.add(postures[good], tags, limit=cover.count + max(missing(), 0))
+
+    for some in np.array_split(rng.permutation(recorded), max(1, len(recorded) // _BATCH)):
+        if missing() > 0:
+            add(mirror_posture(cover.postures[some]), some, "mirrored")
+    half = missing() // 2
+    while missing() > half:
+        legs, arms = rng.choice(recorded, (2, _BATCH))
+        # Of walking and others together nothing is easy: both halves are of the same kind.
+        legs, arms = (some[_untag(cover.tags[legs])[1] == _untag(cover.tags[arms])[1]] for some in (legs, arms))
+        mixed = cover.postures[legs].copy()
+        mixed[:, UPPER_BONES] = cover.postures[arms][:, UPPER_BONES]
+        most = max(1, min(len(mixed), missing() - half))
+        if add(mixed[:most], legs[:most], "recombined") < _FEWEST * most:
+            break
+    while missing() > 0:
+        base = rng.choice(np.flatnonzero(_mine(cover, easy)), _BATCH)
+        moved = cover.postures[base] + rng.normal(0, settings.noise_rad, (_BATCH, 20, 3)).astype(np.float32)
+        if add(moved, base, "perturbed") < _FEWEST * _BATCH:
+            break
+
+
+def _mine(cover: Cover, easy: bool) -> Bool[ndarray, "n"]:
+    return _untag(cover.tags)[1] | (not easy)
+
+
+def counts_of(pool: PosturePool) -> dict[str, dict[str, int]]:
+    """Postures by split: all, easy ones, and by kind."""
+    table = {}
+    for index, split in enumerate(SPLITS):
+        mine = pool.splits == index
+        kinds = {kind: int((mine & (pool.kinds == k)).sum()) for k, kind in enumerate(KINDS)}
+        table[split] = {"postures": int(mine.sum()), "easy": int((mine & pool.simple).sum()), **kinds}
+    return table
+
+
+def _print_report(console: Console, pool: PosturePool, settings: PoolBuild) -> None:
+    report = pool.report
+    skipped = report["skipped"]
+    console.print(
+        f"{report['clips_read']} clips, {report['frames']} frames; left out: {report['flipped_frames']} around flips, "
+        f"{report['impossible_frames']} impossible; {len(skipped)} clips skipped",
+        highlight=False,
+    )
+    for name, reason in skipped.items():
+        console.print(f"  skipped {name}: {reason}", highlight=False, markup=False, soft_wrap=True)
+    for skeleton, clips in report["skeletons"].items():
+        if skeleton.startswith("guessed"):
+            console.print(f"  {clips} clips {skeleton}", highlight=False, markup=False, soft_wrap=True)
+    table = Table("split", "postures", "easy", *KINDS, "stop")
+    for split, counts in report["counts"].items():
+        distances = report["distances_m"][split]
+        stop = f"{100 * distances['stop']:.1f} cm" if distances else "–"
+        table.add_row(split, *(str(value) for value in counts.values()), stop)
+    console.print(table)
+    for split, share in zip(SPLITS, settings.shares, strict=True):
+        held, wanted = report["counts"][split]["postures"], round(settings.count * share)
+        if held < wanted:
+            why = (
+                f"its clips give no more that differ by {100 * settings.spacing_m:g} cm; lower --spacing-m"
+                if held
+                else "no clip falls in it"
+            )
+            console.print(f"{split}: {held} of {wanted} postures: {why}, or give more clips", style="yellow")
+    console.print(f"wrote {settings.out} ({settings.out.stat().st_size / 1e6:.1f} MB)", highlight=False)

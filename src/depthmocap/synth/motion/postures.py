@@ -1,0 +1,218 @@
+"""Where postures come from: clips of motion capture, a pool made of them, or the packaged prior learnt from them."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.resources
+import logging
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from depthmocap.body.model import BodyModel, Phenotype
+from depthmocap.body.posture import POSTURE_BONES, POSTURE_PARENTS, mirror_posture, turn_posture, world_rotations
+from depthmocap.errors import InputError
+from depthmocap.synth.motion.limits import bone_axis
+from depthmocap.synth.motion.mocap import Clip, ClipFolder, SkippedClip, check_any_read, without_heading
+from depthmocap.synth.motion.pool import PosturePool
+
+_LOG = logging.getLogger(__name__)
+
+#: Bones above the pelvis, which recombination takes from another posture.
+UPPER_BONES = np.array([i for i, name in enumerate(POSTURE_BONES) if name.partition(".")[0] not in
+                   ("pelvis", "thigh", "shin", "foot")])  # fmt: skip
+
+
+@runtime_checkable
+class PostureSource(Protocol):
+    """Anything that draws postures. The heading is uniform; ``group`` tells which clip (or component) one is from."""
+
+    def sample(self, rng: np.random.Generator) -> tuple[Float[ndarray, "20 3"], int]: ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Variation:
+    """How drawn postures are varied beyond what was recorded."""
+
+    mirror: float = 0.5
+    recombine: float = 0.0
+    noise_rad: float = 0.0
+
+
+#: For training: more postures than were recorded.
+TRAINING_VARIATION = Variation(mirror=0.5, recombine=0.25, noise_rad=0.06)
+
+
+def joint_positions(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n 20 3"]:
+    """Ends of unit bones laid along the postures: a cheap measure of how far apart two postures are (metres).
+
+    Every bone is a stick of typical length, so that a difference is about that of the joints of an adult.
+    """
+    lengths = {"pelvis": 0.0, "spine_low": 0.12, "spine_mid": 0.12, "spine_up": 0.16, "neck": 0.1, "head": 0.2,
+               "clavicle": 0.17, "upper_arm": 0.29, "forearm": 0.25, "hand": 0.15, "thigh": 0.42, "shin": 0.42,
+               "foot": 0.18}  # fmt: skip
+    world = world_rotations(postures)
+    ends = np.zeros((*postures.shape[:-1], 3))
+    for i, (name, parent) in enumerate(zip(POSTURE_BONES, POSTURE_PARENTS, strict=True)):
+        start = ends[:, parent] if parent >= 0 else 0.0
+        ends[:, i] = start + world[:, i] @ (bone_axis(name) * lengths[name.partition(".")[0]])
+    return ends
+
+
+def thin(postures: Float[ndarray, "n 20 3"], spacing_m: float) -> Int[ndarray, "m"]:
+    """Indices of frames whose joints are all at least once ``spacing_m`` from the last frame kept."""
+    if not len(postures):
+        return np.zeros(0, dtype=np.int64)
+    ends = joint_positions(postures)
+    kept = [0]
+    for i in range(1, len(ends)):
+        if np.abs(ends[i] - ends[kept[-1]]).max() > spacing_m:
+            kept.append(i)
+    return np.array(kept)
+
+
+class ClipPostures:
+    """Postures of motion capture clips, headings removed, thinned to what differs by ``spacing_m``.
+
+    Raises:
+        InputError: when no clip is left.
+    """
+
+    def __init__(
+        self, clips: Sequence[Clip], split: str, simple: bool, variation: Variation, spacing_m: float = 0.05
+    ) -> None:
+        chosen = [clip for clip in clips if clip.split == split and (clip.simple or not simple) and len(clip.postures)]
+        if not chosen:
+            kind = "walking or running " if simple else ""
+            raise InputError(f"no {kind}clips fall in the {split} split: give more clips or leave --postures out")
+        self.names = [clip.name for clip in chosen]
+        parts = [without_heading(clip.postures)[thin(clip.postures, spacing_m)] for clip in chosen]
+        self.postures = np.concatenate(parts).astype(np.float32)
+        self.groups = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+        self._variation = variation
+
+    @classmethod
+    def of_pool(cls, pool: PosturePool, split: str, simple: bool, variation: Variation) -> ClipPostures:
+        """The postures of a pool that belong to a split, as they are: they are distinct already.
+
+        Raises:
+            InputError: when there are none.
+        """
+        chosen = pool.select(split, simple)
+        if not len(chosen):
+            kind = "walking or running " if simple else ""
+            raise InputError(f"the pool has no {kind}postures of the {split} split: build it from more clips")
+        clips, groups = np.unique(pool.clips[chosen], return_inverse=True)
+        source = cls.__new__(cls)
+        source.names = [pool.clip_names[clip] for clip in clips]
+        source.postures, source.groups = pool.postures[chosen], groups
+        source._variation = variation
+        return source
+
+    def __len__(self) -> int:
+        return len(self.postures)
+
+    def sample(self, rng: np.random.Generator) -> tuple[Float[ndarray, "20 3"], int]:
+        """A posture with a random heading, and the index of its clip."""
+        index = int(rng.integers(len(self.postures)))
+        posture = self.postures[index].astype(np.float64)
+        if rng.random() < self._variation.recombine:
+            posture[UPPER_BONES] = self.postures[rng.integers(len(self.postures))][UPPER_BONES]
+        return _vary(posture, self._variation, rng), int(self.groups[index])
+
+
+def _vary(posture: Float[ndarray, "20 3"], variation: Variation, rng: np.random.Generator) -> Float[ndarray, "20 3"]:
+    if rng.random() < variation.mirror:
+        posture = mirror_posture(posture)
+    posture = posture + rng.normal(0, variation.noise_rad, posture.shape)
+    return turn_posture(posture, rng.uniform(-np.pi, np.pi))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PosturePrior:
+    """A Gaussian mixture over local joint rotations, fitted on training clips, with a second set of weights for
+    walking and running. Samples stay within two deviations of a component."""
+
+    weights: Float[ndarray, "k"]
+    simple_weights: Float[ndarray, "k"]
+    means: Float[ndarray, "k 60"]
+    factors: Float[ndarray, "k 60 r"]
+    simple: bool = False
+    variation: Variation = Variation()
+
+    @classmethod
+    def load(cls, path: Path | None = None, simple: bool = False, variation: Variation = Variation()) -> PosturePrior:
+        """The packaged prior, or one of the user's.
+
+        Raises:
+            InputError: when the file is missing or not a prior.
+        """
+        source = path or importlib.resources.files("depthmocap.synth.motion") / "posture_prior.npz"
+        try:
+            with source.open("rb") as handle, np.load(handle, allow_pickle=False) as data:
+                arrays = {
+                    name: data[name].astype(np.float64) for name in ("weights", "simple_weights", "means", "factors")
+                }
+        # A file of another kind: not numpy's (EOFError, ValueError), a single array (TypeError), a broken archive.
+        except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
+            raise InputError(f"{source} is not a posture prior: {error}") from None
+        return cls(**arrays, simple=simple, variation=variation)
+
+    def sample(self, rng: np.random.Generator) -> tuple[Float[ndarray, "20 3"], int]:
+        """A posture with a random heading, and the component it is from."""
+        weights = self.simple_weights if self.simple else self.weights
+        component = int(rng.choice(len(weights), p=weights / weights.sum()))
+        latent = np.clip(rng.normal(size=self.factors.shape[2]), -2.5, 2.5) * 0.8
+        posture = (self.means[component] + self.factors[component] @ latent).reshape(-1, 3)
+        return _vary(posture, self.variation, rng), component
+
+
+def anny_rest() -> dict[str, Float[ndarray, "3"]]:
+    """Head of every bone of the default body at rest, which retargeting needs."""
+    model = BodyModel.load()
+    return dict(zip(model.bone_names, model.shape(Phenotype()).rest_heads, strict=True))
+
+
+def load_clips(directory: Path) -> list[Clip]:
+    """All readable clips of a directory; what is skipped is logged.
+
+    Raises:
+        InputError: no directory, no clip in it, or none that is readable.
+    """
+    clips: list[Clip] = []
+    skipped: list[SkippedClip] = []
+    for clip in ClipFolder.open(directory).read(anny_rest()):
+        if isinstance(clip, Clip):
+            clips.append(clip)
+        else:
+            skipped.append(clip)
+    check_any_read(directory, len(clips), skipped)
+    if skipped:
+        _LOG.warning(
+            "%s: skipped %d of %d clips: %s",
+            directory,
+            len(skipped),
+            len(skipped) + len(clips),
+            "; ".join(f"{clip.name}: {clip.reason}" for clip in skipped),
+        )
+    return clips
+
+
+def posture_source(
+    postures: Path | None, split: str, simple: bool = False, variation: Variation = Variation()
+) -> ClipPostures | PosturePrior:
+    """Postures of a pool file or of a folder of clips where one is given, else of the packaged prior.
+
+    Raises:
+        InputError: a folder without readable clips, a file that is no pool, or no posture of the split.
+    """
+    if postures is None:
+        return PosturePrior.load(simple=simple, variation=variation)
+    if postures.is_file():
+        return ClipPostures.of_pool(PosturePool.load(postures), split, simple, variation)
+    return ClipPostures(load_clips(postures), split, simple, variation)

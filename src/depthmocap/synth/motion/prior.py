@@ -1,0 +1,76 @@
+"""``depthmocap train prior``: a Gaussian mixture over postures, learnt from motion capture (extra: train)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from sklearn.mixture import GaussianMixture
+
+from depthmocap.body.posture import mirror_posture
+from depthmocap.errors import InputError
+from depthmocap.synth.motion.mocap import Clip, without_heading
+from depthmocap.synth.motion.postures import load_clips, thin
+
+
+@dataclasses.dataclass(frozen=True)
+class PriorTraining:
+    """Learn a posture prior from motion capture clips.
+
+    Attributes:
+        postures: folder of BVH and ASF/AMC clips; only those of the training split are learnt from.
+        out: the .npz file to write.
+        components: Gaussians of the mixture.
+        rank: widest directions of each Gaussian's covariance that are kept.
+    """
+
+    postures: Path
+    out: Path
+    components: int = 48
+    rank: int = 24
+    seed: int = 0
+
+
+def train_prior(settings: PriorTraining) -> Path:
+    """Fit the prior on the training clips and their mirror images; returns its path (about 120 kB).
+
+    Raises:
+        InputError: when there are no readable clips.
+    """
+    fit_prior(load_clips(settings.postures), settings)
+    return settings.out
+
+
+def fit_prior(clips: Sequence[Clip], settings: PriorTraining) -> None:
+    """Fit and save the prior of some clips.
+
+    Raises:
+        InputError: when no training clip is among them, or ``out`` is not an .npz file.
+    """
+    if settings.out.suffix != ".npz":
+        raise InputError(f"--out must end in .npz, got {settings.out}")
+    train = [clip for clip in clips if clip.split == "train" and len(clip.postures)]
+    if not train:
+        raise InputError(f"{settings.postures}: no clip falls in the train split; give more clips")
+    kept = [thin(clip.postures, 0.07) for clip in train]
+    postures = np.concatenate([without_heading(c.postures)[k] for c, k in zip(train, kept, strict=True)])
+    simple = np.concatenate([np.full(len(k), c.simple) for c, k in zip(train, kept, strict=True)])
+    data = np.concatenate([postures, mirror_posture(postures)]).reshape(-1, postures.shape[1] * 3)
+    mixture = GaussianMixture(
+        settings.components, covariance_type="full", reg_covar=1e-3, random_state=settings.seed, max_iter=60
+    )
+    mixture.fit(data)
+    # Without a manifest no clip is known to be walking; then easy draws from all components.
+    walking = data[np.concatenate([simple, simple])]
+    simple_weights = mixture.predict_proba(walking).mean(0) if len(walking) else np.asarray(mixture.weights_)
+    values, vectors = np.linalg.eigh(np.asarray(mixture.covariances_))
+    factors = vectors[:, :, -settings.rank :] * np.sqrt(np.maximum(values[:, None, -settings.rank :], 0))
+    arrays = {
+        "weights": np.asarray(mixture.weights_),
+        "simple_weights": simple_weights,
+        "means": np.asarray(mixture.means_),
+        "factors": factors,
+    }
+    np.savez_compressed(settings.out, **{name: array.astype(np.float16) for name, array in arrays.items()})

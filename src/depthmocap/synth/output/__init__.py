@@ -1,0 +1,1 @@
+"""Samples in bulk: streams, data sets on disk, data cards, clusters."""

@@ -1,0 +1,237 @@
+"""``depthmocap synth``: labelled data sets on disk, of any size, on all cores or a cluster; the paper's among them."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import errno
+import hashlib
+import json
+from collections.abc import Callable, Generator, Iterable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
+from depthmocap import __version__
+from depthmocap.errors import InputError
+from depthmocap.export.output import writing
+from depthmocap.settings import plain_settings
+from depthmocap.synth.output.card import CardRow, card_stride, write_card
+from depthmocap.synth.output.lock import folder_lock
+from depthmocap.synth.output.stream import ordered, usable_cores
+from depthmocap.synth.output.units import Folder, Layout, Made, Unit, describing_units, make_unit, open_folder
+from depthmocap.synth.sample import Recipe
+
+Preset = Literal["paper-easy", "paper-inter", "paper-hard"]
+
+#: Samples of the paper's Table 1. How they fall to train, valid and test it does not say: 80, 10 and 10 % is ours.
+_PRESETS: dict[Preset, tuple[Literal["easy", "inter", "hard"], int]] = {
+    "paper-easy": ("easy", 1_000_000),
+    "paper-inter": ("inter", 1_300_000),
+    "paper-hard": ("hard", 300_000),
+}
+_SPLITS = {"train": 0.8, "valid": 0.1, "test": 0.1}
+#: A process takes as long to start as it takes to make about so many samples.
+_WORTH_A_WORKER = 100
+
+_Runner = Callable[[Iterable[Unit]], Generator[Made, None, None]]
+
+
+@dataclasses.dataclass(frozen=True)
+class SynthSettings:
+    """Random bodies in random postures seen by random cameras (Algorithm 1 of the paper).
+
+    Attributes:
+        out: the root that will hold <subset>-pose/<split>.
+        recipe: what the data shows.
+        samples: postures; each gives one picture per view. Run again with more to go on where it stopped.
+        seed: the same seed gives the same data.
+        format: UBC3V's layout of sections, or tar shards that the webdataset package reads.
+        preset: sets of the paper's sizes, all three splits, in place of --subset, --split and --samples.
+        workers: processes; all usable cores by default. 0 makes all in this one.
+        ray: address of a Ray cluster that makes the set in a folder all its nodes share; "local" starts one here.
+    """
+
+    out: Path
+    recipe: Annotated[Recipe, tyro.conf.OmitArgPrefixes] = dataclasses.field(default_factory=Recipe)
+    samples: int = 1000
+    seed: int = 0
+    format: Layout = "ubc3v"
+    preset: Preset | None = None
+    workers: int | None = None
+    ray: str | None = None
+
+
+def generate(settings: SynthSettings, console: Console | None = None) -> Path:
+    """Write the samples and return the split's folder (with a preset, the subset's). A run that was interrupted, in
+    whatever way, goes on with the same command, and the set has the same bytes.
+
+    Every sample depends on its own index, the recipe and the seed alone.
+
+    Raises:
+        InputError: settings that cannot be; a folder that is not writable, holds something else or is being written;
+            a full disk.
+    """
+    if settings.samples < 1:
+        raise InputError(f"--samples must be at least 1, got {settings.samples}")
+    if settings.workers is not None and settings.workers < 0:
+        raise InputError(f"--workers must be at least 0, got {settings.workers}")
+    console = console or Console(stderr=True)
+    if settings.preset is None:
+        return _make_set(settings, console)
+    subset, samples = _PRESETS[settings.preset]
+    folder = settings.out
+    for split, share in _SPLITS.items():
+        recipe = dataclasses.replace(settings.recipe, subset=subset, split=split)
+        folder = _make_set(dataclasses.replace(settings, recipe=recipe, samples=round(samples * share)), console)
+    return folder.parent
+
+
+def _make_set(settings: SynthSettings, console: Console) -> Path:
+    recipe = settings.recipe
+    folder = settings.out / f"{recipe.subset}-pose" / recipe.split
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        if not (folder / "settings.json").exists():
+            _check_empty(folder)
+    try:
+        with folder_lock(folder):
+            identity = _claim(folder, settings)
+            target = open_folder(folder, settings.format)
+            samples = max(settings.samples, target.begun)
+            whole = Unit(folder, settings.format, recipe, settings.seed, samples, identity, 0, samples)
+            card = folder / "card.json"
+            rows: dict[int, CardRow] = {}
+            if missing := list(target.missing(samples)):
+                card.unlink(missing_ok=True)  # it is of a smaller set
+                rows = _make_units(settings, whole, target, missing, console)
+            if not card.exists():
+                _describe(settings, whole, rows)
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise InputError(
+                f"the disk of {folder} is full: free some space, then run the same command; it goes on where it stopped"
+            ) from None
+        if isinstance(error, PermissionError):
+            raise InputError(f"cannot write {error.filename or folder}: {error.strerror}") from None
+        raise
+    console.print(f"{folder}: {samples} samples of {recipe.views} views, see card.html", highlight=False)
+    return folder
+
+
+def _check_empty(folder: Path) -> None:
+    if found := sorted(path.name for path in folder.iterdir() if path.name != ".lock"):
+        raise InputError(
+            f"{folder} holds files of something else ({', '.join(found[:3])}) and no settings.json: "
+            "choose another --out or empty it"
+        )
+
+
+def _claim(folder: Path, settings: SynthSettings) -> str:
+    """Note what the set is made of, or check that it is the same; returns a short hash of it."""
+    plain: dict[str, Any] = {
+        "recipe": plain_settings(settings.recipe),
+        "seed": settings.seed,
+        "format": settings.format,
+        "version": __version__,
+    }
+    text = json.dumps(plain, indent=1, default=str) + "\n"
+    wanted = json.loads(text)
+    path = folder / "settings.json"
+    if path.exists():
+        try:
+            earlier = json.loads(path.read_text())
+            flat = [_flat(earlier), _flat(wanted)]
+        except (ValueError, AttributeError):
+            raise InputError(f"{path} is damaged: remove {folder} and make the set again") from None
+        changed = sorted(key for key in {*flat[0], *flat[1]} if flat[0].get(key) != flat[1].get(key))
+        if changed:
+            raise InputError(f"{folder} was made with other settings ({', '.join(changed)}): choose another --out")
+    else:
+        unfinished = path.with_suffix(".json.part")
+        unfinished.write_text(text)
+        unfinished.replace(path)
+    return hashlib.sha256(json.dumps(wanted, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _flat(settings: dict[str, Any]) -> dict[str, Any]:
+    """The recipe's settings beside the others."""
+    recipe = settings.get("recipe", {})
+    return {**{key: value for key, value in settings.items() if key != "recipe"}, **recipe}
+
+
+def _runner(settings: SynthSettings, samples: int) -> _Runner:
+    if settings.ray is not None:
+        from depthmocap.synth.output.cluster import ordered_on_ray
+
+        address = settings.ray
+        return lambda units: ordered_on_ray(make_unit, units, address)
+    workers = settings.workers
+    if workers is None:
+        workers = min(usable_cores(), samples // _WORTH_A_WORKER)
+        workers = workers if workers > 1 else 0
+    return lambda units: ordered(make_unit, units, workers)
+
+
+def _make_units(
+    settings: SynthSettings, whole: Unit, target: Folder, missing: Sequence[tuple[int, int]], console: Console
+) -> dict[int, CardRow]:
+    """Make what the folder lacks; returns the rows of the card that it gave, by index."""
+    left = sum(stop - start for start, stop in missing)
+    rows: dict[int, CardRow] = {}
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        _Rate(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    ) as progress:
+        task = progress.add_task(
+            f"{whole.folder.parent.name}/{whole.folder.name}", total=whole.samples, completed=whole.samples - left
+        )
+        units = (dataclasses.replace(whole, start=start, stop=stop) for start, stop in missing)
+        with contextlib.closing(target), contextlib.closing(_runner(settings, left)(units)) as all_made:
+            for made in all_made:
+                target.commit(made)
+                rows.update((row.index, row) for row in made.rows)
+                progress.advance(task, len(made.unit.indices))
+    return rows
+
+
+def _describe(settings: SynthSettings, whole: Unit, rows: dict[int, CardRow]) -> None:
+    """Write the card; samples that an earlier run made are drawn once more."""
+    stride = card_stride(whole.samples)
+    units = list(describing_units(whole, list(rows), stride))
+    with contextlib.closing(_runner(settings, len(units) * 16)(units)) as all_made:
+        for made in all_made:
+            rows.update((row.index, row) for row in made.rows)
+    facts = {
+        **json.loads((whole.folder / "settings.json").read_text()),
+        "settings": whole.identity,
+        "samples": whole.samples,
+        "views": whole.samples * whole.recipe.views,
+    }
+    title = f"{whole.folder.parent.name}/{whole.folder.name}"
+    write_card(whole.folder, title, facts, [rows[index] for index in sorted(rows)])
+
+
+class _Rate(ProgressColumn):
+    """Samples a second."""
+
+    def render(self, task: Task) -> Text:
+        return Text(f"{task.speed:.1f}/s" if task.speed else "", style="progress.data.speed")

@@ -1,0 +1,1 @@
+"""Who is in the picture: bodies, garments, hair and shoes."""

@@ -1,0 +1,211 @@
+"""Dressed bodies: garments, hair and shoes over the bare skin, in any posture.
+
+dressed = clothe(body, random_clothes(rng), rng)
+person = dressed.pose(posture)      # the skin with its labels, and the layers over it
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from depthmocap.body.model import Body, BodyModel, BoneTransforms, Phenotype
+from depthmocap.synth.people.sheet import Sheet, hair_sheet, leg_capsules, skirt_sheet, tail_sheet
+from depthmocap.synth.people.shell import (
+    PosedCloth,
+    RestCloth,
+    Shell,
+    boot_shell,
+    garment_level,
+    garment_shell,
+    hair_cap,
+)
+from depthmocap.synth.people.wardrobe import Clothes, Hair, Shoes
+from depthmocap.synth.render import Layer, Material, PosedPerson
+
+#: Points around a shoe and a bun.
+_AROUND = 14
+#: Stations along a foot (shares of its length from the heel) and how much of its girth a shoe has there.
+_STATIONS = np.array([-0.03, -0.02, 0.02, 0.1, 0.2, 0.32, 0.45, 0.58, 0.7, 0.82, 0.92, 1.0, 1.04, 1.06])
+_GIRTHS = np.array([0.0, 0.6, 0.9, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.85, 0.55, 0.0])
+#: Trousers with less slack go into boots (metres).
+_TIGHT_M = 0.015
+#: A shoe's opening above the floor, on the default body (metres).
+_OPENING_M = 0.085
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rigid:
+    """A mesh that moves with one bone: vertices at rest."""
+
+    rest: Float[ndarray, "v 3"]
+    faces: Int[ndarray, "f 3"]
+    bone: int
+
+    def pose(self, transforms: BoneTransforms) -> Float[ndarray, "v 3"]:
+        """Vertices in a posture."""
+        return self.rest @ transforms.rotations[self.bone].T + transforms.offsets[self.bone]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Piece:
+    """One thing that is worn: a shell, a sheet that hangs from it (or from its bones), a rigid part."""
+
+    material: Material
+    shell: Shell | None = None
+    sheet: Sheet | None = None
+    rigid: Rigid | None = None
+
+    def pose(self, cloth: PosedCloth, transforms: BoneTransforms, floor: float) -> Layer:
+        """The piece in a posture."""
+        vertices, faces = [], []
+        held = None
+        if self.shell is not None:
+            points = self.shell.pose(cloth)
+            vertices.append(points)
+            faces.append(self.shell.faces)
+            if self.sheet is not None:
+                held = points[len(points) - self.shell.anchors :]
+        if self.sheet is not None:
+            faces.append(self.sheet.faces + sum(map(len, vertices)))
+            vertices.append(self.sheet.pose(transforms, held, floor))
+        if self.rigid is not None:
+            faces.append(self.rigid.faces + sum(map(len, vertices)))
+            vertices.append(self.rigid.pose(transforms))
+        if len(vertices) == 1:
+            return Layer(vertices[0], faces[0], self.material)
+        return Layer(np.concatenate(vertices), np.concatenate(faces), self.material)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DressedBody:
+    """A body and what it wears, from the inside out, bound to its skeleton."""
+
+    body: Body
+    clothes: Clothes
+    rest: RestCloth
+    pieces: tuple[Piece, ...]
+
+    def pose(self, posture: Float[ndarray, "20 3"]) -> PosedPerson:
+        """The person in a posture (see ``body.posture``). The skin is that of ``body.pose``."""
+        return self.pose_with(self.body.bone_transforms(posture))
+
+    def pose_with(self, transforms: BoneTransforms) -> PosedPerson:
+        """The person moved by transforms of the body's skeleton."""
+        posed = self.body.pose_with(transforms)
+        if not self.pieces:
+            return PosedPerson(posed)
+        cloth = PosedCloth.of(self.rest, transforms)
+        floor = float(posed.vertices[:, 2].min())
+        return PosedPerson(posed, tuple(piece.pose(cloth, transforms, floor) for piece in self.pieces))
+
+
+def clothe(body: Body, clothes: Clothes, rng: np.random.Generator) -> DressedBody:
+    """Dress a body; folds, lumps and hems are drawn from ``rng``. The labels stay those of the skin."""
+    rest = RestCloth.of(body)
+    pieces = []
+    worn = np.zeros(len(rest.points), np.float32)
+    # Wide trousers fall over boots; tight ones go into them.
+    boots = clothes.shoes.style == "boots"
+    over_trousers = boots and all(garment.slack_m < _TIGHT_M for garment in clothes.garments if garment.leg)
+    if boots and not over_trousers:
+        shaft, worn = boot_shell(rest, clothes.shoes, worn)
+        pieces.append(Piece(Material.SHOE, shaft))
+    legs = leg_capsules(rest, body)
+    levels = [garment_level(rest.cloth, garment) for garment in clothes.garments]
+    for i, garment in enumerate(clothes.garments):
+        over = np.max(levels[i + 1 :], axis=0) if i + 1 < len(levels) else None
+        shell, worn_now = garment_shell(rest, garment, levels[i], worn, over, rng)
+        sheet = None
+        if garment.hangs_m:
+            under = float(worn[rest.cloth.sections["L", 0][1]].mean())
+            sheet = skirt_sheet(rest, body, legs, garment, shell.anchors_off_m, under, rng)
+        worn = worn_now
+        if len(shell.faces) or sheet is not None:  # not wholly beneath another
+            pieces.append(Piece(Material.DARK_CLOTH if garment.dark else Material.CLOTH, shell, sheet))
+    if over_trousers:
+        pieces.append(Piece(Material.SHOE, boot_shell(rest, clothes.shoes, worn)[0]))
+    if clothes.shoes.style != "bare":
+        pieces.extend(Piece(Material.SHOE, rigid=_shoe(body, clothes.shoes, side)) for side in "LR")
+    pieces.extend(_hair(rest, body, clothes.hair, rng))
+    return DressedBody(body, clothes, rest, tuple(pieces))
+
+
+def _hair(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator) -> list[Piece]:
+    if hair.style == "bald":
+        return []
+    cap = hair_cap(rest, hair, rng)
+    if hair.style in ("bob", "long"):
+        return [Piece(Material.HAIR, cap, hair_sheet(rest, body, hair, cap.anchors_off_m, rng))]
+    pieces = [Piece(Material.HAIR, cap)]
+    if hair.style == "ponytail":
+        pieces.append(Piece(Material.HAIR, sheet=tail_sheet(rest, body, hair, rng)))
+    if hair.style == "bun":
+        pieces.append(Piece(Material.HAIR, rigid=_bun(rest, body, hair, rng)))
+    return pieces
+
+
+@functools.cache
+def _grid(rows: int, columns: int) -> Int[ndarray, "f 3"]:
+    """Faces of rows of rings."""
+    number = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
+    number = np.concatenate([number, number[:, :1]], 1)
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+    return np.stack([a, c, b, b, c, d], -1).reshape(-1, 3)
+
+
+def _bun(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator) -> Rigid:
+    """A ball of hair, anywhere from the nape to the crown."""
+    scalp = rest.points[rest.cloth.head]
+    centre = (scalp.max(0) + scalp.min(0)) / 2
+    tilt = rng.uniform(0.0, 1.4)
+    skull = float(np.ptp(scalp[:, 1])) / 2
+    radius = (0.03 + 0.6 * hair.volume_m) * max(rest.scale, 0.8)
+    at = centre + (skull + 0.5 * radius) * np.array([0, np.cos(tilt), np.sin(tilt)])
+    polar = np.linspace(0, np.pi, 9)[:, None]
+    around = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
+    ball = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar) + 0 * around], -1)
+    points = (at + radius * ball.reshape(-1, 3)).astype(np.float32)
+    return Rigid(points, _grid(9, _AROUND), body.model.bone_names.index("head"))
+
+
+@functools.cache
+def _foot_stations(model: BodyModel, side: str) -> tuple[Int[ndarray, "n"], Int[ndarray, "s"], int, int]:
+    """Vertices of a foot station by station, where each station starts among them, and its heel and toe."""
+    body = model.shape(Phenotype())
+    names = np.array(model.bone_names)[model.skin_indices[:, 0]]
+    foot = np.array([name.startswith(("foot", "toe")) and name.endswith(side) for name in names])
+    points = body.rest_vertices.astype(np.float64)
+    foot &= points[:, 2] < points[:, 2].min() + _OPENING_M
+    heel = int(np.argmax(np.where(foot, points[:, 1], -np.inf)))
+    toe = int(np.argmin(np.where(foot, points[:, 1], np.inf)))
+    forward = points[toe, :2] - points[heel, :2]
+    share = (points[:, :2] - points[heel, :2]) @ forward / (forward @ forward)
+    near = [np.flatnonzero(foot & (np.abs(share - np.clip(at, 0.05, 0.95)) < 0.07)) for at in _STATIONS]
+    return np.concatenate(near), np.cumsum([0, *map(len, near[:-1])]), heel, toe
+
+
+def _shoe(body: Body, shoes: Shoes, side: str) -> Rigid:
+    """A loft of rings along the foot, measured on its skin, with a flat sole and one toe cap."""
+    vertices, starts, heel, toe = _foot_stations(body.model, side)
+    points = body.rest_vertices[vertices].astype(np.float64)
+    back, front = (body.rest_vertices[end, :2].astype(np.float64) for end in (heel, toe))
+    length = float(np.linalg.norm(front - back))
+    forward = (front - back) / length
+    across = np.array([-forward[1], forward[0]])
+    aside = (points[:, :2] - back) @ across
+    low, high = np.minimum.reduceat(aside, starts), np.maximum.reduceat(aside, starts)
+    top = np.maximum.reduceat(points[:, 2], starts) + shoes.upper_m
+    bottom = float(points[:, 2].min()) - shoes.sole_m
+    around = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
+    # Rounder than a box, squarer than an ellipse.
+    x, z = (np.sign(c) * np.abs(c) ** 0.6 for c in (np.cos(around), np.sin(around)))
+    sideways = ((low + high) / 2)[:, None] + (((high - low) / 2 + shoes.upper_m) * _GIRTHS)[:, None] * x
+    plane = back + (_STATIONS * length)[:, None, None] * forward + sideways[..., None] * across
+    upwards = bottom + ((top - bottom) / 2 * _GIRTHS)[:, None] * (1 + z)
+    mesh = np.concatenate([plane, upwards[..., None]], 2).reshape(-1, 3).astype(np.float32)
+    return Rigid(mesh, _grid(len(_STATIONS), _AROUND), body.model.bone_names.index(f"foot.{side}"))

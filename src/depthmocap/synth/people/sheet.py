@@ -1,0 +1,274 @@
+"""Sheets: what hangs free of the body, from a shell or from the head: skirts, coat tails, long hair."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from depthmocap.body.model import Body, BoneTransforms
+from depthmocap.kernels.garment import relax
+from depthmocap.synth.people.cloth_map import HAIR_SIDE_RAD
+from depthmocap.synth.people.shell import RestCloth
+from depthmocap.synth.people.wardrobe import Garment, Hair
+
+#: Distance of a skirt's rows and of hair's rows (metres).
+_SKIRT_ROW_M, _HAIR_ROW_M = 0.045, 0.035
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Capsules:
+    """Round cones bound to one bone each, which sheets lie on: ends at rest, radii at both ends (metres)."""
+
+    bones: Int[ndarray, "c"]
+    starts: Float[ndarray, "c 3"]
+    ends: Float[ndarray, "c 3"]
+    start_radii: Float[ndarray, "c"]
+    end_radii: Float[ndarray, "c"]
+
+    def pose(self, transforms: BoneTransforms) -> tuple[Float[ndarray, "c 3"], Float[ndarray, "c 3"]]:
+        """Both ends in a posture."""
+        rotations, offsets = transforms.rotations[self.bones], transforms.offsets[self.bones]
+        starts = np.einsum("cij,cj->ci", rotations, self.starts) + offsets
+        ends = np.einsum("cij,cj->ci", rotations, self.ends) + offsets
+        return starts.astype(np.float32), ends.astype(np.float32)
+
+
+def _capsules(rows: Sequence[tuple[int, ndarray, ndarray, float, float]]) -> Capsules:
+    bones, starts, ends, first, last = zip(*rows, strict=True)
+    floats = [np.array(values, np.float32) for values in (starts, ends, first, last)]
+    return Capsules(np.array(bones), *floats)
+
+
+def leg_capsules(rest: RestCloth, body: Body) -> Capsules:
+    """Thighs, shins and the trunk above, measured on the body."""
+    cloth, names, rows = rest.cloth, body.model.bone_names, []
+    for side in ("L", "R"):
+        joints = [names.index(f"{bone}.{side}") for bone in ("upperleg01", "lowerleg01")]
+        for bone in (0, 1):
+            (start, near), (end, far) = (_section(rest.points[ids]) for ids in cloth.sections[side, bone])
+            # The thigh goes on a little above the crotch, inside the pelvis, and to the knee.
+            rows.append((joints[bone], start + 0.15 * (start - end), end + 0.1 * (end - start), near, far))
+    middle = [body.rest_heads[names.index(bone)] for bone in ("root", "spine02")]
+    chest = rest.points[cloth.chest]
+    radius = float(np.ptp(chest[:, 1])) / 2
+    for side in (-0.35, 0.35):
+        shift = np.array([side * body.rest_heads[names.index("upperarm01.L"), 0], 0, 0])
+        rows.append((names.index("spine04"), middle[0] + shift + [0, 0, radius], middle[1] + shift, radius, radius))
+    return _capsules(rows)
+
+
+def _section(points: Float[ndarray, "n 3"]) -> tuple[Float[ndarray, "3"], float]:
+    """Centre and radius (metres) of a slice of a limb."""
+    centre = points.mean(0)
+    away = np.hypot(*(points - centre)[:, :2].T)
+    return centre, float(np.sort(away)[int(0.95 * len(away))])
+
+
+def upper_capsules(rest: RestCloth, body: Body) -> Capsules:
+    """Head, neck, shoulders and the trunk below, measured on the body."""
+    cloth, names = rest.cloth, body.model.bone_names
+    heads = dict(zip(names, body.rest_heads, strict=True))
+    root, skull = heads["neck01"], heads["head"]
+    shoulder = heads["upperarm01.L"]
+    scalp = rest.points[cloth.head]
+    centre = (scalp.max(0) + scalp.min(0)) / 2
+    wide = float(np.ptp(scalp[:, 0])) / 2
+    nose = np.array([0, 0.02, 0])
+    chest = rest.points[cloth.chest, 1]
+    deep = float(np.ptp(chest)) / 2
+    middle_y = float(chest.max()) - deep
+    spine, chest_bone = names.index("spine01"), names.index("spine03")
+    rows = [
+        (names.index("head"), centre - nose, centre + nose, wide, wide),
+        (names.index("neck02"), root, skull, 0.06 * rest.scale, 0.06 * rest.scale),
+    ]
+    for sign in (-1, 1):
+        inner = np.array([sign * 0.35 * shoulder[0], middle_y, shoulder[2] - 0.6 * deep])
+        outer = np.array([sign * 0.9 * shoulder[0], shoulder[1], shoulder[2]])
+        low = np.array([sign * 0.4 * shoulder[0], middle_y, heads["spine04"][2]])
+        rows.append((spine, inner, outer, 0.09 * rest.scale, 0.065 * rest.scale))
+        rows.append((chest_bone, inner, low, deep, deep))
+    return _capsules(rows)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Sheet:
+    """A grid of points, its first row held, the rest drawn along by bones and then let hang (``kernels.relax``)."""
+
+    rows: int
+    rest: Float[ndarray, "m 3"]
+    indices: Int[ndarray, "m k"]
+    weights: Float[ndarray, "m k"]
+    along: Float[ndarray, "rows1 c"]
+    across: Float[ndarray, "rows c"]
+    closed: bool
+    columns: Int[ndarray, "c"]
+    capsules: Capsules
+    margin_m: float
+    fall_m: float
+    rounds: int
+    faces: Int[ndarray, "f 3"]
+
+    def pose(
+        self, transforms: BoneTransforms, held: Float[ndarray, "_ 3"] | None, floor: float
+    ) -> Float[ndarray, "m 3"]:
+        """Where the sheet hangs.
+
+        Args:
+            held: where the anchors of all columns are; None leaves the first row to its bones.
+            floor: height (metres) that nothing sinks below.
+        """
+        points = transforms.skin(self.rest, self.indices, self.weights).reshape(self.rows, -1, 3)
+        if held is not None:
+            points[0] = held[self.columns]
+        starts, ends = self.capsules.pose(transforms)
+        margin = np.float32(self.margin_m)
+        relax(
+            points, self.along, self.across, self.closed, starts, ends, self.capsules.start_radii + margin,
+            self.capsules.end_radii + margin, np.float32(self.fall_m), np.float32(floor), self.rounds,
+        )  # fmt: skip
+        return points.reshape(-1, 3)
+
+
+def _grid_faces(rows: int, columns: int, closed: bool) -> Int[ndarray, "f 3"]:
+    number = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
+    if closed:
+        number = np.concatenate([number, number[:, :1]], 1)
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+    return np.stack([a, c, b, b, c, d], -1).reshape(-1, 3)
+
+
+def _sheet(
+    points: Float[ndarray, "r c 3"], bones: Sequence[int], weights: Float[ndarray, "r c k"], closed: bool,
+    columns: Int[ndarray, "c"], capsules: Capsules, margin_m: float, fall_m: float, rounds: int,
+) -> Sheet:  # fmt: skip
+    rows, width = points.shape[:2]
+    flat = weights.reshape(-1, len(bones))
+    order = np.argsort(-flat, axis=1)
+    following = np.roll(points, -1, axis=1)
+    return Sheet(
+        rows=rows,
+        rest=points.reshape(-1, 3).astype(np.float32),
+        indices=np.asarray(bones, np.int32)[order],
+        weights=np.take_along_axis(flat, order, 1).astype(np.float32),
+        along=np.linalg.norm(np.diff(points, axis=0), axis=2).astype(np.float32),
+        across=np.linalg.norm(following - points, axis=2).astype(np.float32),
+        closed=closed,
+        columns=columns,
+        capsules=capsules,
+        margin_m=margin_m,
+        fall_m=fall_m,
+        rounds=rounds,
+        faces=_grid_faces(rows, width, closed),
+    )
+
+
+def _ramp(x: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
+    x = np.clip(x, 0, 1)
+    return x * x * (3 - 2 * x)
+
+
+def skirt_sheet(
+    rest: RestCloth,
+    body: Body,
+    capsules: Capsules,
+    garment: Garment,
+    off_m: Float[ndarray, "c"],
+    under_m: float,
+    rng: np.random.Generator,
+) -> Sheet:
+    """What hangs around both legs: a skirt, or the lower part of a dress or coat.
+
+    Args:
+        capsules: the legs' (see :func:`leg_capsules`).
+        off_m: how far the garment stands off the skin at the line it hangs from, by column.
+        under_m: how far what is worn beneath stands off the legs.
+    """
+    anchors, names = rest.cloth.skirt, body.model.bone_names
+    heads = dict(zip(names, body.rest_heads, strict=True))
+    share = anchors.share[:, None]
+    line = (1 - share) * rest.points[anchors.first] + share * rest.points[anchors.second]
+    azimuth = anchors.azimuth.astype(np.float64)
+    out = np.stack([np.sin(azimuth), np.cos(azimuth)], 1)
+    centre = np.array([0.0, rest.centre_y])
+    radius = ((line[:, :2] - centre) * out).sum(1) + off_m
+    top = float(line[:, 2].mean())
+    soft = np.pad(radius, 2, mode="wrap")
+    soft = np.lib.stride_tricks.sliding_window_view(soft, 5).mean(1)
+    columns = np.arange(len(azimuth))
+    if garment.open_m:
+        columns = columns[np.abs(azimuth) < np.pi - garment.open_m / float(soft.mean())]
+    floor = float(body.rest_vertices[:, 2].min())
+    length = min(garment.hangs_m * rest.scale, top - floor - 0.03)
+    down = np.linspace(0, length, max(round(length / _SKIRT_ROW_M), 2) + 1)
+    eased = _ramp(down / 0.15)[:, None]
+    reach = (1 - eased) * radius + eased * (soft + garment.slack_m * rest.scale) + garment.flare * down[:, None]
+    waves = int(rng.integers(5, 12))
+    height = (garment.folds_m + 0.06 * garment.flare) * _ramp(down / 0.35)
+    reach = reach + height[:, None] * np.cos(waves * azimuth + 0.8 * np.sin(azimuth + rng.uniform(0, 6)))
+    hem = rng.uniform(-0.15, 0.15) * 0.3 * length  # longer behind or in front
+    drop = down[:, None] + hem * (down / length)[:, None] ** 2 * np.cos(azimuth)
+    plane = centre + reach[..., None] * out
+    points = np.concatenate([plane, (top - np.minimum(drop, top - floor - 0.02))[..., None]], 2)[:, columns]
+
+    # In front cloth follows the thigh from the groin on, behind it first follows the seat.
+    legs = _ramp(down[:, None] / (0.13 + 0.08 * np.cos(azimuth[columns])))
+    knee = float(heads["lowerleg01.L"][2])
+    shins = _ramp((knee + 0.06 - points[..., 2]) / 0.14)
+    left = _ramp(0.5 + points[..., 0] / (2 * float(soft.mean())))
+    weights = np.stack(
+        [
+            1 - legs,
+            legs * left * (1 - shins), legs * (1 - left) * (1 - shins), legs * left * shins, legs * (1 - left) * shins,
+        ],
+        -1,
+    )  # fmt: skip
+    bones = [names.index(bone) for bone in ("root", "upperleg01.L", "upperleg01.R", "lowerleg01.L", "lowerleg01.R")]
+    margin = garment.thickness_m + under_m + 0.012
+    return _sheet(points, bones, weights, not garment.open_m, columns, capsules, margin, 0.012, 12)
+
+
+def hair_sheet(rest: RestCloth, body: Body, hair: Hair, off_m: Float[ndarray, "c"], rng: np.random.Generator) -> Sheet:
+    """Hair that hangs around the head, from temple to temple: bob and long; ``off_m`` as for skirts."""
+    anchors, names = rest.cloth.hair, body.model.bone_names
+    share = anchors.share[:, None]
+    line = (1 - share) * rest.points[anchors.first] + share * rest.points[anchors.second]
+    azimuth = anchors.azimuth.astype(np.float64)
+    out = np.stack([np.sin(azimuth), np.cos(azimuth)], 1)
+    length = hair.length_m * rest.scale
+    down = np.linspace(0, length, max(round(length / _HAIR_ROW_M), 3) + 1)
+    waves = 1 + hair.lumps * np.cos(rng.integers(4, 9) * azimuth + rng.uniform(0, 6))
+    reach = off_m + (hair.volume_m * (waves - 1) + 0.015) * _ramp(down / 0.06)[:, None]
+    plane = line[:, :2] + reach[..., None] * out
+    # Shorter towards the face.
+    shorter = 1 - 0.35 * rng.uniform() * (np.abs(azimuth) / HAIR_SIDE_RAD) ** 4
+    points = np.concatenate([plane, (line[:, 2] - down[:, None] * shorter)[..., None]], 2)
+    shoulders = np.broadcast_to(_ramp((down - 0.1) / 0.15)[:, None], plane.shape[:2])
+    weights = np.stack([1 - shoulders, shoulders], -1)
+    bones = [names.index("head"), names.index("spine01")]
+    return _sheet(points, bones, weights, False, np.arange(len(azimuth)), upper_capsules(rest, body), 0.012, 0.015, 14)
+
+
+def tail_sheet(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator) -> Sheet:
+    """A ponytail from the back of the head."""
+    scalp = rest.points[rest.cloth.head]
+    back = scalp[np.argmax(scalp[:, 1])]
+    length = hair.length_m * rest.scale
+    down = np.linspace(0, length, max(round(length / _HAIR_ROW_M), 3) + 1)
+    share = down / length
+    girth = (0.012 + hair.volume_m * np.sin(np.pi * np.clip(share * 0.9 + 0.12, 0, 1)))[:, None]
+    angle = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    root_height = rng.uniform(-0.02, 0.07) * rest.scale
+    x = girth * np.sin(angle)
+    y = back[1] + 0.005 + 0.03 * _ramp(down / 0.06)[:, None] + girth * np.cos(angle)
+    z = back[2] + root_height - down[:, None] + 0.0 * angle
+    points = np.stack([x, y, z], 2)
+    shoulders = np.broadcast_to(_ramp((down - 0.15) / 0.2)[:, None], x.shape)
+    names = body.model.bone_names
+    bones = [names.index("head"), names.index("spine01")]
+    weights = np.stack([1 - shoulders, shoulders], -1)
+    return _sheet(points, bones, weights, True, np.arange(8), upper_capsules(rest, body), 0.01, 0.012, 14)

@@ -1,0 +1,1 @@
+"""What is around a person: rooms, furniture, things, other people."""
