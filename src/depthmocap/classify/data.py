@@ -26,6 +26,8 @@ _PLACES = CameraRange(distance_m=(1.2, 4.5), height_m=(0.1, 3.0), aim_m=0.1, rol
 _FEET = np.isin(np.arange(44), [REGION[f"{part} {side}"] for part in ("ankle", "forefoot") for side in "RL"])
 #: Fewest labelled pixels of a picture worth training on.
 _FEWEST = 300
+#: Share of pictures with errors drawn around the sensor's; the others have just those.
+_RANDOM_ERRORS = 0.5
 #: Room around the person in the picture that is drawn (pixels): what clings to them or flies beside them.
 _MARGIN = 16
 #: Cloth within this of the skin's outline is not taught as background (metres).
@@ -81,7 +83,8 @@ def training_window(
         rendering = render_person(person, camera, *(background or ()))
         if np.count_nonzero(rendering.labels) < _FEWEST:
             continue
-        depth = sense(rendering.depth_m, rendering.material, camera, random_model(rng, preset), rng)
+        model = random_model(rng, preset) if rng.random() < _RANDOM_ERRORS else preset.model
+        depth = sense(rendering.depth_m, rendering.material, camera, model, rng)
         mask, labels = _segment(rng, rendering, camera.fx, background, depth, spoiling)
         window = make_window(depth, mask, camera)
         known = mask & (labels > 0) & (labels != UNLABELLED)

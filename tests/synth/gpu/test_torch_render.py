@@ -17,7 +17,7 @@ from depthmocap.synth.render import Layer, Material, PosedPerson, Rendering, dra
 
 torch = pytest.importorskip("torch")
 
-from depthmocap.synth import torch_raster  # noqa: E402
+from depthmocap.synth.gpu import torch_raster  # noqa: E402
 from depthmocap.synth.gpu.torch_body import TorchModel, pose_batch, torch_bone_transforms, torch_world_rotations  # noqa: E402
 from depthmocap.synth.gpu.torch_render import TorchCameras, TorchLayers, TorchRendering, render_batch, render_people  # noqa: E402
 

@@ -17,7 +17,7 @@ from depthmocap.synth.render import PosedPerson, render_person
 
 torch = pytest.importorskip("torch")
 
-from depthmocap.synth import torch_windows  # noqa: E402
+from depthmocap.synth.gpu import torch_windows  # noqa: E402
 from depthmocap.synth.gpu.torch_body import TorchModel  # noqa: E402
 from depthmocap.synth.gpu.torch_noise import TorchNoise, add_noise  # noqa: E402
 from depthmocap.synth.gpu.torch_render import TorchCameras, TorchLayers  # noqa: E402

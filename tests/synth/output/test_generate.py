@@ -21,7 +21,7 @@ from depthmocap.datasets.shards import ShardReader, ShardWriter
 from depthmocap.datasets.ubc3v import Section, kinect2_camera, sections
 from depthmocap.frames import View
 from depthmocap.geometry import look_at
-from depthmocap.synth import generate as generate_module
+from depthmocap.synth.output import generate as generate_module
 from depthmocap.synth.output import units
 from depthmocap.synth.output.generate import SynthSettings, generate
 from depthmocap.synth.output.lock import folder_lock

@@ -16,7 +16,7 @@ import pytest
 
 from depthmocap import InputError
 from depthmocap.body.model import BodyModel
-from depthmocap.synth import stream as stream_module
+from depthmocap.synth.output import stream as stream_module
 from depthmocap.synth.output.stream import ordered, stream
 from depthmocap.synth.sample import Recipe, Sample
 
