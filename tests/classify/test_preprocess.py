@@ -67,7 +67,7 @@ def test_window_shows_the_person(default_body: Body, distance_m: float) -> None:
     assert window.inputs.shape == (3, WINDOW, WINDOW)
     assert window.inputs.dtype == np.float32
     relative, mask, scale = window.inputs
-    # All of the person, but for the odd pixel that stands alone in depth.
+    # All of the person, but for pixels that stand alone in depth: a finger far away is one pixel wide.
     person = window.labels_from_image(labels) > 0
     assert not (mask > person).any()
     assert (mask < person).sum() <= 0.001 * person.sum()

@@ -41,7 +41,7 @@ class CameraRange:
     user would mount at.
 
     Attributes:
-        distance_m: from the body's middle, nearest and farthest.
+        distance_m: from the body's middle, nearest and farthest; a sensor that reads less far stands nearer.
         height_m: above the floor, lowest and highest.
         aim_m: deviation of the point they look at from the body's middle.
         roll_rad: deviation of the roll; UBC3V's layout cannot store any.
@@ -67,6 +67,8 @@ class CameraRange:
 
 #: Deviation of the aim (metres) of a camera that looks past the person.
 _PAST_M = 0.7
+#: A sensor stands this much nearer than it reads, so that the far side of the person is in its range (metres).
+_REACH_M = 0.4
 
 
 def random_camera(
@@ -77,7 +79,9 @@ def random_camera(
     centre = (low + high) / 2
     azimuth = rng.uniform(-np.pi, np.pi)
     height = low[2] + rng.uniform(*places.height_m) - centre[2]
-    distance = max(rng.uniform(*places.distance_m), abs(height) * 1.1)
+    nearest, farthest = places.distance_m
+    farthest = max(min(farthest, sensor.range_m[1] - _REACH_M), nearest)
+    distance = max(rng.uniform(nearest, farthest), abs(height) * 1.1)
     ground = np.sqrt(distance**2 - height**2)
     eye = centre + np.array([ground * np.sin(azimuth), -ground * np.cos(azimuth), height])
     past = places.truncated > 0 and rng.random() < places.truncated
