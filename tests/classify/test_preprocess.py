@@ -70,7 +70,7 @@ def test_window_shows_the_person(default_body: Body, distance_m: float) -> None:
     # All of the person, but for pixels that stand alone in depth: a finger far away is one pixel wide.
     person = window.labels_from_image(labels) > 0
     assert not (mask > person).any()
-    assert (mask < person).sum() <= 0.001 * person.sum()
+    assert (mask < person).sum() <= 0.015 * person.sum()
     # The person's longer side fills PERSON pixels of the window, and lies in its middle.
     rows, columns = np.nonzero(mask)
     sides = (np.ptp(rows) + 1, np.ptp(columns) + 1)
