@@ -17,6 +17,8 @@ from depthmocap.errors import InputError
 from depthmocap.evaluate.synthetic import Labels, measure, print_numbers
 from depthmocap.frames import FrameSet
 from depthmocap.pipeline import load_ridge
+from depthmocap.settings import plain_settings
+from depthmocap.synth.motion.postures import ClipPostures, posture_source
 from depthmocap.synth.output.stream import stream, usable_cores
 from depthmocap.synth.sample import BENCH, Recipe
 
@@ -68,6 +70,8 @@ def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) ->
         raise InputError(f"--sets takes {', '.join(map(repr, BENCH))} and --samples at least 1; got {settings.sets}")
     classifier = Classifier(settings.weights) if settings.labels == "network" else None
     regressor = load_ridge(settings.regressor, settings.labels)
+    source = posture_source(settings.postures, "test")
+    clips = source.names if isinstance(source, ClipPostures) else []  # none: postures are of the prior
     numbers: dict[str, Any] = {}
     for name in settings.sets:
         recipe = dataclasses.replace(BENCH[name], postures=settings.postures, views=max(settings.views, 1))
@@ -75,7 +79,7 @@ def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) ->
             frames = progress.track(_frames(recipe, settings), settings.samples, description=name)
             found = measure(frames, settings.views, regressor, classifier)
         assert found is not None  # every sample has labels and joints
-        numbers[name] = {"seed": settings.seed, "prior": settings.postures is None, **found}
+        numbers[name] = {"recipe": plain_settings(recipe), "seed": settings.seed, "clips": clips, **found}
         print_numbers(f"bench, {name}", found, console)
     if settings.json is not None:
         settings.json.parent.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,46 @@
+"""The project's own test sets, end to end on a few samples."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from depthmocap.body.model import BodyModel
+from depthmocap.errors import InputError
+from depthmocap.evaluate.bench import BenchEvaluation, evaluate_bench
+from depthmocap.synth.sample import BENCH
+
+QUIET = Console(quiet=True)
+
+
+def test_true_labels_beat_the_network(body_model: BodyModel, tmp_path: Path) -> None:
+    path = tmp_path / "numbers.json"
+    found = {
+        labels: evaluate_bench(BenchEvaluation(samples=6, sets=("seen",), labels=labels, workers=0, json=path), QUIET)[
+            "seen"
+        ]
+        for labels in ("network", "true")
+    }
+    assert json.loads(path.read_text())["seen"]["mean_joint_error_cm"] == found["true"]["mean_joint_error_cm"]
+    assert found["true"]["mean_joint_error_cm"] < found["network"]["mean_joint_error_cm"] < 40
+    assert found["true"]["pixel_accuracy"] == 1
+    assert 0.3 < found["network"]["pixel_accuracy"] < 0.98
+    assert found["network"]["frames"] == 6 and found["network"]["clips"] == []
+    assert found["network"]["recipe"]["split"] == "test"
+
+
+def test_sets_differ_and_are_made_alike_again(body_model: BodyModel) -> None:
+    settings = BenchEvaluation(samples=2, workers=0)
+    first, again = evaluate_bench(settings, QUIET), evaluate_bench(settings, QUIET)
+    assert set(first) == set(BENCH)
+    errors = [first[name]["mean_joint_error_cm"] for name in BENCH]
+    assert errors == [again[name]["mean_joint_error_cm"] for name in BENCH]
+    assert len(set(errors)) == len(BENCH)
+
+
+def test_unknown_sets() -> None:
+    with pytest.raises(InputError, match="--sets takes 'seen', 'new clothes', 'new sensor'"):
+        evaluate_bench(BenchEvaluation(sets=("old",)), QUIET)
