@@ -5,6 +5,9 @@ import runpy
 import sys
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -15,3 +18,13 @@ def test_recording_example(monkeypatch, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) > 50
     assert all("right hand at" in line for line in lines)
+
+
+def test_data_engine_example(body_model, monkeypatch, tmp_path):
+    path = tmp_path / "engine.webp"
+    monkeypatch.setattr(sys, "argv", ["02_data_engine.py", str(path)])
+    runpy.run_path(str(EXAMPLES / "02_data_engine.py"), run_name="__main__")
+    with Image.open(path) as image:
+        assert image.size == (5 * 240, 2 * 240)
+        pixels = np.array(image.convert("RGB"))
+    assert len(np.unique(pixels[240:].reshape(-1, 3), axis=0)) > 40  # labels below
