@@ -6,7 +6,15 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+from depthmocap.errors import InputError
+
 
 def plain_settings(settings: Any) -> dict[str, Any]:
     """The fields of a settings dataclass as JSON can hold them: paths become strings."""
     return {k: str(v) if isinstance(v, Path) else v for k, v in dataclasses.asdict(settings).items()}
+
+
+def check_seed(seed: int) -> None:
+    """Raise InputError unless generators can be made from a seed."""
+    if seed < 0:
+        raise InputError(f"--seed must be at least 0, got {seed}")

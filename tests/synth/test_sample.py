@@ -214,10 +214,13 @@ def test_recipes_that_cannot_be(options: dict[str, Any], message: str) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"distance_m": (3.0, 2.0)}, "distance_m must be a minimum and a maximum, got 3.0 and 2.0"),
-        ({"height_m": (0.0, float("nan"))}, "height_m must be a minimum and a maximum"),
-        ({"distance_m": (0.1, 2.0)}, "distance_m must be at least 0.5"),
-        ({"truncated": 1.5}, "truncated must be 0 to 1"),
+        ({"distance_m": (3.0, 2.0)}, "--distance-m must be a minimum and a maximum, got 3.0 and 2.0"),
+        ({"height_m": (0.0, float("nan"))}, "--height-m must be a minimum and a maximum"),
+        ({"distance_m": (0.1, 2.0)}, "--distance-m must be at least 0.5"),
+        ({"height_m": (-1.0, 2.0)}, "--height-m must be at least 0"),
+        ({"aim_m": float("nan")}, "--aim-m must be a number of at least 0, got nan"),
+        ({"roll_rad": float("inf")}, "--roll-rad must be a number of at least 0, got inf"),
+        ({"truncated": 1.5}, "--truncated must be from 0 to 1"),
     ],
 )
 def test_cameras_that_cannot_be(options: dict[str, Any], message: str) -> None:

@@ -16,6 +16,7 @@ from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.geometry.transforms import look_at
+from depthmocap.settings import check_seed
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, PostureSource, Variation, posture_source
 from depthmocap.synth.people.bodies import random_dressed
 from depthmocap.synth.render import PosedPerson, Rendering, render_person
@@ -33,6 +34,8 @@ Noise = Literal["none", "sensor", "random"]
 ANY_SENSOR = "any"
 #: A body fills at least so many pixels of one view; otherwise the sample is drawn again, so many times at most.
 _FEWEST_PIXELS, _TRIES = 50, 20
+#: No camera stands nearer to the body's middle, nor under the floor.
+_LEAST_M = {"distance_m": 0.5, "height_m": 0.0}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,14 +58,20 @@ class CameraRange:
     truncated: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("distance_m", "height_m"):
+        for name in _LEAST_M:
             low, high = getattr(self, name)
+            option = f"--{name.replace('_', '-')}"
             if not (np.isfinite([low, high]).all() and low <= high):
-                raise InputError(f"cameras: {name} must be a minimum and a maximum, got {low} and {high}")
-        if self.distance_m[0] < 0.5:
-            raise InputError(f"cameras: distance_m must be at least 0.5, got {self.distance_m[0]}")
-        if self.aim_m < 0 or self.roll_rad < 0 or not 0 <= self.truncated <= 1:
-            raise InputError("cameras: aim_m and roll_rad must not be negative, and truncated must be 0 to 1")
+                raise InputError(f"{option} must be a minimum and a maximum, got {low} and {high}")
+            if low < (least := _LEAST_M[name]):
+                raise InputError(f"{option} must be at least {least}, got {low}")
+        for name in ("aim_m", "roll_rad"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InputError(
+                    f"--{name.replace('_', '-')} must be a number of at least 0, got {getattr(self, name)}"
+                )
+        if not 0 <= self.truncated <= 1:
+            raise InputError(f"--truncated must be from 0 to 1, got {self.truncated}")
 
 
 #: Deviation of the aim (metres) of a camera that looks past the person.
@@ -195,6 +204,7 @@ class Sampler:
     """Draws the samples of a recipe by index; cheap to call in any order and in any process."""
 
     def __init__(self, recipe: Recipe, seed: int) -> None:
+        check_seed(seed)
         self.recipe, self.seed = recipe, seed
         variation = TRAINING_VARIATION if recipe.vary else Variation(mirror=0.5)
         self._postures = posture_source(recipe.postures, recipe.split, recipe.subset == "easy", variation)
