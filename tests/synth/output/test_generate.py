@@ -25,7 +25,7 @@ from depthmocap.synth.output import generate as generate_module
 from depthmocap.synth.output import units
 from depthmocap.synth.output.generate import SynthSettings, generate
 from depthmocap.synth.output.lock import folder_lock
-from depthmocap.synth.sample import Recipe, Sample
+from depthmocap.synth.sample import CameraRange, Recipe, Sample
 
 QUIET = Console(file=io.StringIO())
 RECIPE = Recipe(subset="easy", split="valid", views=2)
@@ -183,6 +183,29 @@ def test_what_the_layout_cannot_hold(tmp_path: Path, monkeypatch: pytest.MonkeyP
     run(tmp_path / "shards", "shards")
 
 
+def test_cameras_that_the_layout_cannot_hold_are_refused_beforehand(tmp_path: Path) -> None:
+    rolled = dataclasses.replace(RECIPE, cameras=CameraRange(roll_rad=0.1))
+    with pytest.raises(InputError, match="--roll-rad 0 or --format shards"):
+        run(tmp_path / "none", recipe=rolled)
+    with pytest.raises(InputError, match="--sensors ubc3v only, got ubc3v itop: use --format shards"):
+        run(tmp_path / "none", recipe=dataclasses.replace(RECIPE, sensors=("ubc3v", "itop")))
+    assert not (tmp_path / "none").exists()
+
+
+def test_settings_that_made_nothing_do_not_bind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def nobody(*arguments: object) -> Sample:
+        raise InputError("no camera sees the person")
+
+    for layout in LAYOUTS:
+        with monkeypatch.context() as patch:
+            patch.setattr(units, "draw", nobody)
+            with pytest.raises(InputError, match="no camera"):
+                run(tmp_path / layout, layout, seed=3)
+        run(tmp_path / layout, layout, seed=4)
+        with pytest.raises(InputError, match=r"other settings \(seed\)"):
+            run(tmp_path / layout, layout, seed=3)
+
+
 def test_presets_make_three_splits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert generate_module._PRESETS["paper-inter"] == ("inter", 1_300_000)
     monkeypatch.setitem(generate_module._PRESETS, "paper-inter", ("inter", 10))
@@ -193,7 +216,7 @@ def test_presets_make_three_splits(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_numbers_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for option in ("--samples", "--workers"):
+    for option in ("--samples", "--workers", "--seed"):
         assert main(["synth", "--out", str(tmp_path / "none"), option, "-1"]) == 2
         assert option in capsys.readouterr().err
     assert not (tmp_path / "none").exists()

@@ -28,12 +28,13 @@ from rich.text import Text
 from depthmocap import __version__
 from depthmocap.errors import InputError
 from depthmocap.export.output import writing
-from depthmocap.settings import plain_settings
+from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.output.card import CardRow, card_stride, write_card
 from depthmocap.synth.output.lock import folder_lock
 from depthmocap.synth.output.stream import ordered, usable_cores
 from depthmocap.synth.output.units import Folder, Layout, Made, Unit, describing_units, make_unit, open_folder
 from depthmocap.synth.sample import Recipe
+from depthmocap.synth.sensing.sensors import SENSORS
 
 Preset = Literal["paper-easy", "paper-inter", "paper-hard"]
 
@@ -89,6 +90,9 @@ def generate(settings: SynthSettings, console: Console | None = None) -> Path:
         raise InputError(f"--samples must be at least 1, got {settings.samples}")
     if settings.workers is not None and settings.workers < 0:
         raise InputError(f"--workers must be at least 0, got {settings.workers}")
+    check_seed(settings.seed)
+    if settings.format == "ubc3v":
+        _check_storable(settings.recipe)
     console = console or Console(stderr=True)
     if settings.preset is None:
         return _make_set(settings, console)
@@ -100,13 +104,27 @@ def generate(settings: SynthSettings, console: Console | None = None) -> Path:
     return folder.parent
 
 
+def _check_storable(recipe: Recipe) -> None:
+    """Raise InputError where UBC3V's layout could not hold the cameras, before anything is written."""
+    if recipe.cameras.roll_rad > 0:
+        raise InputError("UBC3V's layout cannot store a camera's roll: give --roll-rad 0 or --format shards")
+    if any(preset != SENSORS["ubc3v"] for preset in recipe.presets):
+        raise InputError(
+            f"UBC3V's layout holds the pictures of --sensors ubc3v only, got {' '.join(recipe.sensors)}: "
+            "use --format shards"
+        )
+
+
 def _make_set(settings: SynthSettings, console: Console) -> Path:
     recipe = settings.recipe
     folder = settings.out / f"{recipe.subset}-pose" / recipe.split
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        if not (folder / "settings.json").exists():
-            _check_empty(folder)
+        if not (folder / "settings.json").exists() and (found := _others(folder)):
+            raise InputError(
+                f"{folder} holds files of something else ({', '.join(found[:3])}) and no settings.json: "
+                "choose another --out or empty it"
+            )
     try:
         with folder_lock(folder):
             identity = _claim(folder, settings)
@@ -132,16 +150,13 @@ def _make_set(settings: SynthSettings, console: Console) -> Path:
     return folder
 
 
-def _check_empty(folder: Path) -> None:
-    if found := sorted(path.name for path in folder.iterdir() if path.name != ".lock"):
-        raise InputError(
-            f"{folder} holds files of something else ({', '.join(found[:3])}) and no settings.json: "
-            "choose another --out or empty it"
-        )
+def _others(folder: Path) -> list[str]:
+    """Files of a folder besides the settings and the lock, by name."""
+    return sorted(path.name for path in folder.iterdir() if path.name not in (".lock", "settings.json"))
 
 
 def _claim(folder: Path, settings: SynthSettings) -> str:
-    """Note what the set is made of, or check that it is the same; returns a short hash of it."""
+    """Note what the set is made of or, where some of it is made, check that it is the same; returns a short hash."""
     plain: dict[str, Any] = {
         "recipe": plain_settings(settings.recipe),
         "seed": settings.seed,
@@ -151,7 +166,7 @@ def _claim(folder: Path, settings: SynthSettings) -> str:
     text = json.dumps(plain, indent=1, default=str) + "\n"
     wanted = json.loads(text)
     path = folder / "settings.json"
-    if path.exists():
+    if _others(folder):
         try:
             earlier = json.loads(path.read_text())
             flat = [_flat(earlier), _flat(wanted)]
