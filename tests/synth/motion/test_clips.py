@@ -345,6 +345,10 @@ def test_amc_gives_the_postures_of_the_same_bvh(tmp_path: Path, default_body: Bo
         ("name lfoot", "name lefthoof", "lefthoof|lfoot"),
         ("direction", "directory", "direction"),
         ("length 28.0", "length long", "long"),
+        ("dof rx", "dof rq", "channel RQ"),
+        ("dof rx ry", "dof rx rx", "twice"),
+        ("\nend\n:hier", "\naxis 0 0\nend\n:hier", "cut off"),
+        ("lowerback upperback", "lowerback upperback root", "root hangs"),
     ],
 )
 def test_bad_asf_files(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -387,12 +391,14 @@ def test_bad_clips_are_skipped_and_counted(tmp_path: Path, default_body: Body) -
         "no_length": "OFFSET 28.0 0.0 0.0=>OFFSET 0 0 0",
         "no_frames": "Frames: 3=>Frames: 30",
         "no_trunk": "OFFSET 0.0=>OFFSET x",
+        "no_offset": "OFFSET 28.0=>OFFSET nan",
     }
     for name, spoil in spoils.items():
         write_bvh(tmp_path / f"{name}.bvh", joints, [{}] * 3, spoil)
     unknown = [(key, f"j{i}", parent, offset) for i, (key, _, parent, offset) in enumerate(joints)]
     write_bvh(tmp_path / "unknown.bvh", unknown, [{}])
     (tmp_path / "bytes.bvh").write_bytes(bytes(range(256)))
+    (tmp_path / "folder.bvh").mkdir()
     (tmp_path / "08_01.amc").write_text(amc_text([{}]))
     (tmp_path / "good.amc").write_text("")
     results = list(ClipFolder.open(tmp_path).read(heads(default_body)))
@@ -403,7 +409,8 @@ def test_bad_clips_are_skipped_and_counted(tmp_path: Path, default_body: Body) -
     assert clips[0].skeleton.startswith("mixamo: pelvis=mixamorig:Hips")
     reasons = {
         "nan.bvh": "not finite", "no_length.bvh": "has no length", "no_frames.bvh": "3 of its 30 frames",
-        "no_trunk.bvh": "numerics", "unknown.bvh": "--mapping", "bytes.bvh": "not a readable BVH",
+        "no_trunk.bvh": "numerics", "unknown.bvh": "--mapping", "bytes.bvh": "it is not text",
+        "no_offset.bvh": "skeleton has a number that is not finite", "folder.bvh": "BVH file: Is a directory",
         "08_01.amc": "08.asf is missing", "good.amc": "of this name",
     }  # fmt: skip
     assert set(skipped) == set(reasons)
@@ -412,7 +419,7 @@ def test_bad_clips_are_skipped_and_counted(tmp_path: Path, default_body: Body) -
         assert "\n" not in skipped[name]
         assert str(tmp_path) not in skipped[name]
     (tmp_path / "good.bvh").unlink()
-    with pytest.raises(InputError, match=r"none of its 8 clips is readable; 08_01\.amc"):
+    with pytest.raises(InputError, match=r"none of its 10 clips is readable; 08_01\.amc"):
         list(read_clips(tmp_path, heads(default_body)))
 
 

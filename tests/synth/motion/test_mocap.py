@@ -267,8 +267,8 @@ def test_clips_of_a_folder(tmp_path: Path, default_body: Body) -> None:
 
 
 def test_folder_errors(tmp_path: Path, default_body: Body) -> None:
-    for folder in (tmp_path, tmp_path / "none"):
-        with pytest.raises(InputError, match=r"no \.bvh or \.amc files"):
+    for folder, message in ((tmp_path, r"no \.bvh or \.amc files"), (tmp_path / "none", "is not a folder")):
+        with pytest.raises(InputError, match=message):
             list(read_clips(folder, heads(default_body)))
     write(tmp_path / "a.bvh", skeleton("daz", "T"), [{}])
     (tmp_path / "manifest.csv").write_text("clip,words\na.bvh,walk\n")

@@ -152,6 +152,8 @@ class ClipFolder:
             InputError: no directory, no clip in it, or a manifest without these columns.
         """
         # Of two files of one clip the BVH comes first: it needs no other file.
+        if not directory.is_dir():
+            raise InputError(f"{directory} is not a folder; give one of motion capture clips")
         files = [path for suffix in _SUFFIXES for path in directory.glob(f"*{suffix}")]
         files.sort(key=lambda path: (path.stem, _SUFFIXES.index(path.suffix)))
         if not files:

@@ -15,8 +15,9 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from depthmocap.errors import InputError
-from depthmocap.synth.motion.clips.motion import Motion, frame_step
+from depthmocap.synth.motion.clips.motion import Motion, frame_step, reason
 
+_KNOWN_CHANNELS = {"L", *(f"{kind}{axis}" for kind in "TR" for axis in "XYZ")}
 #: An AMC file does not tell its rate; the database was recorded at this one.
 AMC_FPS = 120.0
 
@@ -43,7 +44,7 @@ def read_asf(path: Path) -> AsfSkeleton:
     try:
         return _parse_asf(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, KeyError, IndexError) as error:
-        raise InputError(f"{path} is not a readable ASF file: {error}") from None
+        raise InputError(f"{path} is not a readable ASF file: {reason(error)}") from None
 
 
 def _parse_asf(text: str) -> AsfSkeleton:
@@ -72,6 +73,8 @@ def _parse_asf(text: str) -> AsfSkeleton:
     for words in sections["hierarchy"]:
         if words and words[0] not in ("begin", "end"):
             parents.update(dict.fromkeys(words[1:], words[0]))
+    if "root" in parents:
+        raise ValueError("the root hangs from another bone")
     order = ["root"]
     for name in order:  # grows while it is walked
         order += [child for child, parent in parents.items() if parent == name]
@@ -80,6 +83,11 @@ def _parse_asf(text: str) -> AsfSkeleton:
     vectors = {
         name: np.array(bone["direction"], dtype=float) * float(bone["length"][0]) for name, bone in bones.items()
     }
+    channels = [tuple(word.upper() for word in bones[name].get("dof", [])) for name in order]
+    if unknown := {channel for each in channels for channel in each} - _KNOWN_CHANNELS:
+        raise ValueError(f"channel {min(unknown)} is not known")
+    if any(len(set(each)) < len(each) for each in channels):
+        raise ValueError("a bone has a channel twice")
     units = {words[0]: words[1] for words in sections.get("units", []) if len(words) > 1}
     degrees = units.get("angle", "deg") != "rad"
     return AsfSkeleton(
@@ -88,7 +96,7 @@ def _parse_asf(text: str) -> AsfSkeleton:
         np.array([vectors[parents[name]] if name in parents else np.zeros(3) for name in order]),
         np.array([np.zeros(3) if name in parents.values() else vectors[name] for name in order]),
         np.array([_axis(bones[name]["axis"], degrees) for name in order]),
-        tuple(tuple(word.upper() for word in bones[name].get("dof", [])) for name in order),
+        tuple(channels),
     )
 
 
@@ -121,7 +129,7 @@ def read_amc_motion(path: Path, asf: AsfSkeleton, fps: float = AMC_FPS, every_fr
         step = 1 if every_frame else frame_step(1 / fps)
         values, degrees = _parse_amc(path.read_text(encoding="utf-8"), asf, step)
     except (OSError, ValueError) as error:
-        raise InputError(f"{path} is not a readable AMC file: {error}") from None
+        raise InputError(f"{path} is not a readable AMC file: {reason(error)}") from None
     rotations = np.broadcast_to(np.eye(3), (len(values), len(asf.names), 3, 3)).copy()
     column = 0
     for joint, channels in enumerate(asf.channels):
@@ -164,5 +172,6 @@ def _parse_amc(text: str, asf: AsfSkeleton, step: int) -> tuple[Float[ndarray, "
         column += 1 + len(moving[name])
     values = table[:, [i for name in moving for i in columns[name]]].astype(np.float64)
     if not np.isfinite(values).all():
-        raise ValueError(f"frame {int(np.flatnonzero(~np.isfinite(values).all(1))[0])} has a number that is not finite")
+        first = int(np.flatnonzero(~np.isfinite(values).all(1))[0])
+        raise ValueError(f"frame {first * step} has a number that is not finite")
     return values, ":RADIANS" not in header

@@ -11,7 +11,7 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from depthmocap.errors import InputError, missing_extra
-from depthmocap.synth.motion.clips.motion import Motion, frame_step
+from depthmocap.synth.motion.clips.motion import Motion, frame_step, reason
 
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 
@@ -37,7 +37,7 @@ def read_bvh_motion(path: Path, every_frame: bool = True) -> Motion:
         # The parser cuts a name at its first space.
         names = [" ".join(line.split()[1:]) for line in lines if line.split()[0] in ("ROOT", "JOINT")]
     except Exception as error:  # the parser raises bare and various errors on malformed text
-        raise InputError(f"{path} is not a readable BVH file: {_first_line(error)}") from None
+        raise InputError(f"{path} is not a readable BVH file: {reason(error)}") from None
     return Motion(
         tuple(names),
         tuple(parent for _, parent in joints),
@@ -46,11 +46,6 @@ def read_bvh_motion(path: Path, every_frame: bool = True) -> Motion:
         rotations,
         frame_time_s * step,
     )
-
-
-def _first_line(error: Exception) -> str:
-    """The parser's errors carry open files and whole lines after their message."""
-    return str(error.args[0]) if error.args else type(error).__name__
 
 
 def _flatten(joint: Any, parent: int, out: list[tuple[Any, int]]) -> None:

@@ -77,3 +77,16 @@ class Motion:
 def frame_step(frame_time_s: float) -> int:
     """Frames to go on at a time for about 30 postures a second."""
     return max(1, round(1 / 30 / frame_time_s))
+
+
+def reason(error: Exception) -> str:
+    """Why a file could not be parsed, in one line. The BVH parser's errors carry open files after their message."""
+    if isinstance(error, OSError):
+        return error.strerror or str(error)
+    if isinstance(error, UnicodeDecodeError):
+        return "it is not text"
+    if isinstance(error, KeyError):
+        return f"it lacks {error}"
+    if isinstance(error, IndexError):
+        return "a line is cut off"
+    return str(error.args[0]) if error.args else type(error).__name__

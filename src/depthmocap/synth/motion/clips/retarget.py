@@ -26,6 +26,8 @@ _AIMS: dict[str, tuple[str, str]] = {
 _NEXT = {"upper_arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
 #: Up in a file whose zero pose does not tell.
 _USUAL_UP = np.array([0.0, 1.0, 0.0])
+#: No joint is farther from its parent, in any unit of length.
+_FARTHEST = 1e9
 _QUARTER_TURNS = Rotation.create_group("O").as_matrix()
 
 
@@ -44,8 +46,10 @@ def retarget(
         anny_rest: head of every bone of the body at rest (Z up), which gives our rest directions.
 
     Raises:
-        InputError: when a limb has no length.
+        InputError: when a limb has no length, or the skeleton a number that is not finite.
     """
+    if not all(np.abs(each).max() < _FARTHEST for each in (motion.offsets, motion.ends, motion.rotations)):
+        raise InputError("its skeleton has a number that is not finite, or no length that can be")
     tails = {bone: _tail(motion, skeleton, bone) for bone in skeleton.joints if bone.partition(".")[0] in _AIMS}
     for bone, tail in tails.items():
         if np.linalg.norm(tail) < 1e-6 and bone.partition(".")[0] in _NEXT:
