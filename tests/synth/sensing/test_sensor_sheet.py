@@ -24,4 +24,11 @@ def test_the_sheet_shows_what_a_seed_decides(tmp_path: Path, monkeypatch: pytest
     assert pictures[0].shape[1] == 1400 and pictures[0].std() > 20
     assert (pictures[0] == pictures[1]).all() and (pictures[0] != pictures[2]).mean() > 0.02
     with pytest.raises(InputError, match="cannot write"):
-        write_sensor_sheet(SensorSheetSettings(tmp_path / "missing" / "a.png"))
+        write_sensor_sheet(SensorSheetSettings(tmp_path / "a.png" / "b.png"))
+
+
+def test_settings_that_cannot_be() -> None:
+    with pytest.raises(InputError, match=r"--out must end in \.png or \.webp, got a\.jpg"):
+        SensorSheetSettings(Path("a.jpg"))
+    with pytest.raises(InputError, match="--seed"):
+        SensorSheetSettings(seed=-1)

@@ -12,10 +12,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy import ndarray
 from PIL import Image
+from rich.console import Console
 
 from depthmocap.body.model import BodyModel
+from depthmocap.errors import InputError
 from depthmocap.export.output import writing
 from depthmocap.geometry.transforms import look_at
+from depthmocap.settings import check_seed
 from depthmocap.synth.motion.sequence import demo_motion, pose_sequence
 from depthmocap.synth.people.bodies import ONE_CHARACTER, ORDINARY_CLOTHES, clothe
 from depthmocap.synth.render import PosedPerson, render_person
@@ -46,10 +49,16 @@ class SensorSheetSettings:
     out: Path = Path("sensors.webp")
     seed: int = 0
 
+    def __post_init__(self) -> None:
+        if self.out.suffix.lower() not in (".png", ".webp"):
+            raise InputError(f"--out must end in .png or .webp, got {self.out}")
+        check_seed(self.seed)
+
 
 def write_sensor_sheet(settings: SensorSheetSettings) -> None:
     """The command: see :func:`sensor_sheet`."""
     sensor_sheet(settings.out, settings.seed)
+    Console().print(f"wrote {settings.out}", highlight=False)
 
 
 def sensor_sheet(path: Path, seed: int = 0) -> None:
@@ -79,6 +88,7 @@ def sensor_sheet(path: Path, seed: int = 0) -> None:
         )
     canvas.draw()
     with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).save(path, quality=80)
 
 
