@@ -180,8 +180,9 @@ def test_damaged_and_foreign_files(tmp_path: Path, content: str) -> None:
         np.savez(path, **arrays)
     else:
         path.write_bytes({"empty": b"", "text": b"postures", "half": whole[: len(whole) // 2]}[content])
-    with pytest.raises(InputError, match=r"pool\.npz is not a readable posture pool.*postures build"):
+    with pytest.raises(InputError, match=r"pool\.npz is not a readable posture pool.*postures build") as raised:
         posture_source(path, "train")
+    assert "pickle" not in str(raised.value)
 
 
 # The command
@@ -311,7 +312,10 @@ def test_a_pool_depends_on_its_settings_alone(tmp_path: Path) -> None:
         ({"count": 0}, "--count"),
         ({"easy": 10, "count": 5}, "--easy"),
         ({"shares": (0.5, 0.5, 0.5)}, "--shares"),
+        ({"shares": (float("nan"), 0.5, 0.5)}, "--shares"),
         ({"spacing_m": 0.0}, "--spacing-m"),
+        ({"noise_rad": float("nan")}, "--noise-rad"),
+        ({"seed": -1}, "--seed must be at least 0"),
         ({"out": Path("pool.pkl")}, r"\.npz"),
     ],
 )

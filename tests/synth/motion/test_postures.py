@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from depthmocap.synth.motion.postures import (
     posture_source,
     thin,
 )
+from depthmocap.synth.motion.prior import PriorTraining, fit_prior
 
 AS_RECORDED = Variation(mirror=0.0)
 
@@ -119,6 +121,26 @@ def test_prior_file_errors(tmp_path: Path, content: str) -> None:
     with pytest.raises(InputError, match="is not a posture prior") as raised:
         PosturePrior.load(path)
     assert str(path) in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"out": Path("prior.txt")}, r"--out must end in \.npz"),
+        ({"components": 0}, "--components and --rank"),
+        ({"seed": -1}, "--seed"),
+    ],
+)
+def test_fits_that_cannot_be(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        PriorTraining(Path("clips"), **{"out": Path("prior.npz"), **options})
+
+
+def test_fewer_postures_than_components(tmp_path: Path) -> None:
+    clips = [Clip("still", np.zeros((5, 20, 3), np.float32), simple=False, split="train")]
+    with pytest.raises(InputError, match="2 distinct postures are fewer than --components 48"):
+        fit_prior(clips, PriorTraining(Path("clips"), tmp_path / "prior.npz"))
+    assert not list(tmp_path.iterdir())
 
 
 def test_prior_file_missing(tmp_path: Path) -> None:

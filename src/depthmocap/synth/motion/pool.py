@@ -6,13 +6,14 @@ import dataclasses
 import json
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from depthmocap.errors import InputError
+from depthmocap.synth.motion.clips.motion import reason
 from depthmocap.synth.motion.mocap import SPLITS
 
 #: How a posture came to be, in the order of :attr:`PosturePool.kinds`.
@@ -20,6 +21,21 @@ KINDS = ("recorded", "mirrored", "recombined", "perturbed")
 _FORMAT = "depthmocap posture pool 1"
 #: Rotation vectors are stored as 16-bit integers of this (radians): wrong by 0.005 degrees at most.
 _STEP_RAD = np.pi / 32767
+#: What reading a foreign or damaged file raises.
+NOT_NPZ = (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile)
+
+
+def read_npz(handle: IO[bytes]) -> dict[str, ndarray]:
+    """The arrays of an .npz file by name. Other files NumPy takes for pickles, and advises to trust them.
+
+    Raises:
+        ValueError: when it is another kind of file (or one of :data:`NOT_NPZ`).
+    """
+    if not zipfile.is_zipfile(handle):
+        raise ValueError("it is no .npz file, or cut off")
+    handle.seek(0)
+    with np.load(handle, allow_pickle=False) as data:
+        return dict(data)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -76,18 +92,17 @@ class PosturePool:
             InputError: when the file is missing, damaged, or something else.
         """
         try:
-            with path.open("rb") as handle, np.load(handle, allow_pickle=False) as data:
-                if str(data["format"]) != _FORMAT:
-                    raise ValueError(f"it is of another version ({data['format']})")
-                arrays = {name: data[name] for name in ("postures", "clips", "splits", "simple", "kinds")}
-                names = tuple(str(name) for name in data["clip_names"])
-                report = json.loads(str(data["report"]))
+            with path.open("rb") as handle:
+                data = read_npz(handle)
+            if str(data["format"]) != _FORMAT:
+                raise ValueError(f"it is of another version ({data['format']})")
+            arrays = {name: data[name] for name in ("postures", "clips", "splits", "simple", "kinds")}
+            names = tuple(str(name) for name in data["clip_names"])
+            report = json.loads(str(data["report"]))
             _check(arrays, len(names))
-        # A file of another kind: not numpy's (EOFError, ValueError), a single array (TypeError), a broken archive.
-        except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
-            reason = error if not isinstance(error, KeyError) else f"it has no {error}"
+        except NOT_NPZ as error:
             raise InputError(
-                f"{path} is not a readable posture pool: {reason}; make one with: depthmocap postures build"
+                f"{path} is not a readable posture pool: {reason(error)}; make one with: depthmocap postures build"
             ) from None
         arrays["postures"] = arrays["postures"].astype(np.float32) * np.float32(_STEP_RAD)
         return cls(**arrays, clip_names=names, report=report)

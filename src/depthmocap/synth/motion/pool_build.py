@@ -16,7 +16,7 @@ from rich.table import Table
 
 from depthmocap.body.posture import mirror_posture
 from depthmocap.errors import InputError
-from depthmocap.settings import plain_settings
+from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.motion.clips.skeletons import read_mapping
 from depthmocap.synth.motion.cover import Cover, farthest_points
 from depthmocap.synth.motion.limits import within_limits
@@ -32,7 +32,7 @@ _BATCH, _FEWEST = 4096, 0.01
 
 @dataclasses.dataclass(frozen=True)
 class PoolBuild:
-    """Settings of ``depthmocap postures build``.
+    """Pick the most dissimilar postures of a folder of clips, and fill up where the clips give few.
 
     Attributes:
         clips: folder of BVH and ASF/AMC files; manifest.csv (file, description, fps) tells which are walking.
@@ -46,6 +46,7 @@ class PoolBuild:
         noise_rad: deviation of a perturbation, an axis of a bone.
         mapping: JSON file, joint of a posture bone, for skeletons with names of their own.
         skeletons: ASF file of a subject whose own is missing: --skeletons 88 86.asf 90 86.asf
+        seed: the same seed gives the same pool.
     """
 
     clips: Path
@@ -69,12 +70,13 @@ class PoolBuild:
             object.__setattr__(self, "easy", 10_000)
         if self.count < 1 or not 0 <= self.easy <= self.count:
             raise InputError(f"--count must be at least 1 and --easy from 0 to --count, got {self.count}, {self.easy}")
-        if min(self.shares) < 0 or abs(sum(self.shares) - 1) > 1e-6:
+        if not (min(self.shares) >= 0 and abs(sum(self.shares) - 1) <= 1e-6):
             raise InputError(f"--shares must be three shares that add up to 1, got {self.shares}")
-        if not self.spacing_m > 0 or self.noise_rad < 0:
+        if not (0 < self.spacing_m < np.inf and 0 <= self.noise_rad < np.inf):
             raise InputError(
                 f"--spacing-m must be above 0 and --noise-rad not below, got {self.spacing_m}, {self.noise_rad}"
             )
+        check_seed(self.seed)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -247,9 +249,9 @@ def _print_report(console: Console, pool: PosturePool, settings: PoolBuild) -> N
         held, wanted = report["counts"][split]["postures"], round(settings.count * share)
         if held < wanted:
             why = (
-                f"its clips give no more that differ by {100 * settings.spacing_m:g} cm; lower --spacing-m"
+                f"its clips give no more that differ by {100 * settings.spacing_m:g} cm; lower --spacing-m or"
                 if held
-                else "no clip falls in it"
+                else "no clip falls in it;"
             )
-            console.print(f"{split}: {held} of {wanted} postures: {why}, or give more clips", style="yellow")
+            console.print(f"{split}: {held} of {wanted} postures: {why} give more clips", style="yellow")
     console.print(f"wrote {settings.out} ({settings.out.stat().st_size / 1e6:.1f} MB)", highlight=False)

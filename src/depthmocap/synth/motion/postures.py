@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import importlib.resources
 import logging
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -17,12 +16,15 @@ from numpy import ndarray
 from depthmocap.body.model import BodyModel, Phenotype
 from depthmocap.body.posture import POSTURE_BONES, POSTURE_PARENTS, mirror_posture, turn_posture, world_rotations
 from depthmocap.errors import InputError
+from depthmocap.synth.motion.clips.motion import reason
 from depthmocap.synth.motion.limits import bone_axis
 from depthmocap.synth.motion.mocap import Clip, ClipFolder, SkippedClip, check_any_read, without_heading
-from depthmocap.synth.motion.pool import PosturePool
+from depthmocap.synth.motion.pool import NOT_NPZ, PosturePool, read_npz
 
 _LOG = logging.getLogger(__name__)
 
+#: Of bad clips so many are named; there may be thousands.
+_SKIPS_TOLD = 3
 #: Bones above the pelvis, which recombination takes from another posture.
 UPPER_BONES = np.array([i for i, name in enumerate(POSTURE_BONES) if name.partition(".")[0] not in
                    ("pelvis", "thigh", "shin", "foot")])  # fmt: skip
@@ -154,13 +156,11 @@ class PosturePrior:
         """
         source = path or importlib.resources.files("depthmocap.synth.motion") / "posture_prior.npz"
         try:
-            with source.open("rb") as handle, np.load(handle, allow_pickle=False) as data:
-                arrays = {
-                    name: data[name].astype(np.float64) for name in ("weights", "simple_weights", "means", "factors")
-                }
-        # A file of another kind: not numpy's (EOFError, ValueError), a single array (TypeError), a broken archive.
-        except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
-            raise InputError(f"{source} is not a posture prior: {error}") from None
+            with source.open("rb") as handle:
+                data = read_npz(handle)
+            arrays = {name: data[name].astype(np.float64) for name in ("weights", "simple_weights", "means", "factors")}
+        except NOT_NPZ as error:
+            raise InputError(f"{source} is not a posture prior: {reason(error)}") from None
         return cls(**arrays, simple=simple, variation=variation)
 
     def sample(self, rng: np.random.Generator) -> tuple[Float[ndarray, "20 3"], int]:
@@ -194,11 +194,12 @@ def load_clips(directory: Path) -> list[Clip]:
     check_any_read(directory, len(clips), skipped)
     if skipped:
         _LOG.warning(
-            "%s: skipped %d of %d clips: %s",
+            "%s: skipped %d of %d clips: %s%s",
             directory,
             len(skipped),
             len(skipped) + len(clips),
-            "; ".join(f"{clip.name}: {clip.reason}" for clip in skipped),
+            "; ".join(f"{clip.name}: {clip.reason}" for clip in skipped[:_SKIPS_TOLD]),
+            "; …; depthmocap postures build tells all" if len(skipped) > _SKIPS_TOLD else "",
         )
     return clips
 

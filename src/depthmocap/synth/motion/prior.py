@@ -7,10 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
 from sklearn.mixture import GaussianMixture
 
 from depthmocap.body.posture import mirror_posture
 from depthmocap.errors import InputError
+from depthmocap.export.output import writing
+from depthmocap.settings import check_seed
 from depthmocap.synth.motion.mocap import Clip, without_heading
 from depthmocap.synth.motion.postures import load_clips, thin
 
@@ -24,6 +27,7 @@ class PriorTraining:
         out: the .npz file to write.
         components: Gaussians of the mixture.
         rank: widest directions of each Gaussian's covariance that are kept.
+        seed: of the fit's start.
     """
 
     postures: Path
@@ -31,6 +35,13 @@ class PriorTraining:
     components: int = 48
     rank: int = 24
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.out.suffix != ".npz":
+            raise InputError(f"--out must end in .npz, got {self.out}")
+        if self.components < 1 or self.rank < 1:
+            raise InputError(f"--components and --rank must be at least 1, got {self.components} and {self.rank}")
+        check_seed(self.seed)
 
 
 def train_prior(settings: PriorTraining) -> Path:
@@ -40,6 +51,7 @@ def train_prior(settings: PriorTraining) -> Path:
         InputError: when there are no readable clips.
     """
     fit_prior(load_clips(settings.postures), settings)
+    Console().print(f"wrote {settings.out}", highlight=False)
     return settings.out
 
 
@@ -47,10 +59,8 @@ def fit_prior(clips: Sequence[Clip], settings: PriorTraining) -> None:
     """Fit and save the prior of some clips.
 
     Raises:
-        InputError: when no training clip is among them, or ``out`` is not an .npz file.
+        InputError: when no training clip is among them, or too few postures.
     """
-    if settings.out.suffix != ".npz":
-        raise InputError(f"--out must end in .npz, got {settings.out}")
     train = [clip for clip in clips if clip.split == "train" and len(clip.postures)]
     if not train:
         raise InputError(f"{settings.postures}: no clip falls in the train split; give more clips")
@@ -58,6 +68,10 @@ def fit_prior(clips: Sequence[Clip], settings: PriorTraining) -> None:
     postures = np.concatenate([without_heading(c.postures)[k] for c, k in zip(train, kept, strict=True)])
     simple = np.concatenate([np.full(len(k), c.simple) for c, k in zip(train, kept, strict=True)])
     data = np.concatenate([postures, mirror_posture(postures)]).reshape(-1, postures.shape[1] * 3)
+    if len(data) < settings.components:
+        raise InputError(
+            f"{settings.postures}: {len(data)} distinct postures are fewer than --components {settings.components}"
+        )
     mixture = GaussianMixture(
         settings.components, covariance_type="full", reg_covar=1e-3, random_state=settings.seed, max_iter=60
     )
@@ -73,4 +87,6 @@ def fit_prior(clips: Sequence[Clip], settings: PriorTraining) -> None:
         "means": np.asarray(mixture.means_),
         "factors": factors,
     }
-    np.savez_compressed(settings.out, **{name: array.astype(np.float16) for name, array in arrays.items()})
+    with writing(settings.out):
+        settings.out.parent.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(settings.out, **{name: array.astype(np.float16) for name, array in arrays.items()})

@@ -16,7 +16,7 @@ from rich.table import Table
 from depthmocap.body.model import BodyModel, Phenotype
 from depthmocap.errors import InputError
 from depthmocap.kernels.cover import nearest_distances
-from depthmocap.settings import plain_settings
+from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.motion.limits import within_limits
 from depthmocap.synth.motion.mocap import Clip, without_heading
 from depthmocap.synth.motion.postures import (
@@ -41,13 +41,14 @@ _TIPS = ("lowerarm01", "wrist", "finger3-1", "foot")
 
 @dataclasses.dataclass(frozen=True)
 class PostureReport:
-    """Settings of ``depthmocap postures report``.
+    """Compare the posture prior, and training clips, with held-out clips.
 
     Attributes:
         clips: folder of BVH and ASF/AMC files; those of valid and test are the held-out ones.
         prior: a prior of your own; by default the packaged one.
         samples: postures of each source.
         json: file for the numbers.
+        seed: of what is drawn.
     """
 
     clips: Path
@@ -59,6 +60,7 @@ class PostureReport:
     def __post_init__(self) -> None:
         if self.samples < 10:
             raise InputError(f"--samples must be at least 10, got {self.samples}")
+        check_seed(self.seed)
 
 
 def report_postures(settings: PostureReport) -> dict[str, Any]:
