@@ -25,7 +25,6 @@ from depthmocap.synth.scenes.scene import (
     TRAINING,
     Scene,
     SceneSettings,
-    moved_person,
     random_scene,
     render_scene,
 )
@@ -295,7 +294,7 @@ def test_who_sits_has_something_to_sit_on(default_body: Body) -> None:
     knee, hip = (sitting.joints[JOINT_INDEX[f"R{j}"]] for j in ("Knee", "Hip"))
     assert knee[1] < hip[1] - 0.3 and abs(knee[2] - hip[2]) < 0.1
     settings = SceneSettings(furniture=(0, 1), hiding=0.0, seen_by_one=0.0, seen_by_each=0.0)
-    turned = moved_person(sitting, yaw(1.0), np.array([3.0, -2.0, 0.5]))
+    turned = sitting.moved(yaw(1.0), np.array([3.0, -2.0, 0.5]))
     for seed in range(4):
         for person in (sitting, turned):
             scene = random_scene(
@@ -326,7 +325,7 @@ def test_furniture_stands_on_the_floor() -> None:
 
 def test_a_person_moves_with_all_they_wear(people: list[PosedPerson]) -> None:
     offset = np.array([1.0, 2.0, 3.0])
-    moved = moved_person(people[0], yaw(0.7), offset)
+    moved = people[0].moved(yaw(0.7), offset)
     for before, after in (
         (people[0].vertices, moved.vertices),
         (people[0].joints, moved.joints),

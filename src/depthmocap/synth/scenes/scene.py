@@ -161,17 +161,6 @@ def _all_points(person: PosedPerson) -> Float[ndarray, "p 3"]:
     return np.concatenate([person.vertices, *(layer.vertices for layer in person.layers)]).astype(float)
 
 
-def moved_person(person: PosedPerson, rotation: Float[ndarray, "3 3"], offset: Float[ndarray, "3"]) -> PosedPerson:
-    """A person turned about the world's origin, then shifted, with all they wear."""
-
-    def move(points: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
-        return (points @ rotation.T + offset).astype(points.dtype)
-
-    body = dataclasses.replace(person.body, vertices=move(person.vertices), joints=move(person.joints))
-    layers = tuple(dataclasses.replace(layer, vertices=move(layer.vertices)) for layer in person.layers)
-    return PosedPerson(body, layers)
-
-
 def _place_second(
     rng: np.random.Generator,
     other: PosedPerson,
@@ -187,13 +176,13 @@ def _place_second(
     for _ in range(_TRIES):
         azimuth, distance = rng.uniform(-np.pi, np.pi), rng.uniform(*distance_m)
         direction = np.array([np.cos(azimuth), np.sin(azimuth), 0])
-        turned = moved_person(other, yaw(rng.uniform(-np.pi, np.pi)), np.zeros(3))
+        turned = other.moved(yaw(rng.uniform(-np.pi, np.pi)), np.zeros(3))
         points = _all_points(turned)
         start = person.joints[hip] - turned.joints[hip]
         apart = (place.points @ direction).max() - ((points + start) @ direction).min()
         offset = start + max(distance, apart + 0.02) * direction
         offset[2] = floor_m - points[:, 2].min()
-        turned = moved_person(turned, np.eye(3), offset)
+        turned = turned.moved(np.eye(3), offset)
         if place.accept(_stand_in(turned.joints), clear_of_body=False):
             place.occupy(_all_points(turned))
             return turned
