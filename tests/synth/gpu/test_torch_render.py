@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import cv2
 import numpy as np
 import pytest
@@ -27,15 +25,6 @@ COUNT = 6
 
 def camera_at(eye: np.ndarray, target: np.ndarray, focal_px: float = 184.0) -> DepthCamera:
     return DepthCamera("camera", WIDTH, HEIGHT, focal_px, focal_px * 0.99, 126.5, 102.5, look_at(eye, target))
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Tensors this small gain nothing from more, and on a busy machine threads wait for each other."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -21,15 +20,6 @@ torch = pytest.importorskip("torch")
 
 from depthmocap.synth.gpu.torch_bank import BodiesInPostures, BodyBank, PosedPeople, RestLayer, rest_layers  # noqa: E402
 from depthmocap.synth.gpu.torch_source import TorchSynth, TorchSynthSettings, random_poses  # noqa: E402
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Tensors this small gain nothing from more, and on a busy machine threads wait for each other."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def shells(body: Body, kind: int) -> list[RestLayer]:

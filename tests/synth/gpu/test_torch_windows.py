@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -24,15 +23,6 @@ from depthmocap.synth.gpu.torch_render import TorchCameras, TorchLayers  # noqa:
 
 #: Distances at which the person is larger and smaller than a window.
 DISTANCES = (1.0, 1.6, 2.3, 3.0, 4.0)
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Tensors this small gain nothing from more, and on a busy machine threads wait for each other."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="module")
@@ -122,9 +112,10 @@ def drawn(
     model = TorchModel.of(people[0].body.model)
     vertices = torch.from_numpy(np.stack([person.vertices for person in people]))
     sizes = torch.tensor([[camera.width, camera.height] for camera in cameras])
-    return torch_windows.render_windows(
+    view = torch_windows.view_windows(
         vertices, model.faces, model.face_regions, TorchCameras.of(cameras), sizes, layers
     )
+    return view.windows(view.rendering.depth_m, view.rendering.person)
 
 
 def expected_window(person: PosedPerson, camera: DepthCamera) -> tuple[preprocess.Window, np.ndarray]:

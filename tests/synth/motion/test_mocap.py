@@ -14,7 +14,8 @@ from depthmocap.body.model import Body
 from depthmocap.body.posture import heading, turn_posture
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
-from depthmocap.synth.motion.mocap import SPLITS, read_bvh, read_clips, split_of, without_heading
+from depthmocap.synth.motion.mocap import SPLITS, read_bvh, split_of, without_heading
+from depthmocap.synth.motion.postures import load_clips
 
 pytest.importorskip("bvhio")
 #: BVH files have Y up and face +Z; the body has Z up and faces −Y.
@@ -43,7 +44,7 @@ def skeleton(scheme: str, arms: str) -> list[Joint]:
     """A skeleton of a naming scheme, in centimetres, its arms stretched out ("T") or hanging ("down") at rest."""
     joints: list[Joint] = []
 
-    def add(key: str, name: str, parent: str | None, offset: Sequence[float]) -> None:
+    def add(key: str, name: str, parent: str | None, offset: Sequence[float] | np.ndarray) -> None:
         x, y, z = offset
         joints.append(Joint(key, name, parent, (x, y, z)))
 
@@ -258,22 +259,22 @@ def test_clips_of_a_folder(tmp_path: Path, default_body: Body) -> None:
     write(tmp_path / "02_01.bvh", joints, swing, frame_time=1 / 120)
     write(tmp_path / "05_02.bvh", joints, swing[:7], frame_time=1 / 30)
     (tmp_path / "manifest.csv").write_text("file,description\n02_01.bvh,Walking slowly\n05_02.bvh,salsa dance\n")
-    walk, dance = read_clips(tmp_path, heads(default_body))
+    walk, dance = load_clips(tmp_path)
     assert (walk.name, walk.simple, len(walk.postures)) == ("02_01", True, 31)
     assert (dance.name, dance.simple, len(dance.postures)) == ("05_02", False, 7)
     assert [walk.split, dance.split] == [split_of("02_01"), split_of("05_02")]
     (tmp_path / "manifest.csv").unlink()
-    assert not any(clip.simple for clip in read_clips(tmp_path, heads(default_body)))
+    assert not any(clip.simple for clip in load_clips(tmp_path))
 
 
 def test_folder_errors(tmp_path: Path, default_body: Body) -> None:
     for folder, message in ((tmp_path, r"no \.bvh or \.amc files"), (tmp_path / "none", "is not a folder")):
         with pytest.raises(InputError, match=message):
-            list(read_clips(folder, heads(default_body)))
+            load_clips(folder)
     write(tmp_path / "a.bvh", skeleton("daz", "T"), [{}])
     (tmp_path / "manifest.csv").write_text("clip,words\na.bvh,walk\n")
     with pytest.raises(InputError, match=r"manifest\.csv.*columns file and description"):
-        list(read_clips(tmp_path, heads(default_body)))
+        load_clips(tmp_path)
 
 
 def test_flips_are_left_out(tmp_path: Path, default_body: Body) -> None:
@@ -284,7 +285,7 @@ def test_flips_are_left_out(tmp_path: Path, default_body: Body) -> None:
     path = tmp_path / "clip.bvh"
     write(path, skeleton("cmu", "T"), [frame(i) for i in range(40)])
     everything, _ = read_bvh(path, heads(default_body))
-    (clip,) = read_clips(tmp_path, heads(default_body))
+    (clip,) = load_clips(tmp_path)
     kept = [i for i, posture in enumerate(everything) if (np.abs(clip.postures - posture).max((1, 2)) < 1e-6).any()]
     assert len(kept) == len(clip.postures)
     dropped = set(range(40)) - set(kept)

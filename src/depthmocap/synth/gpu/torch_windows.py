@@ -196,21 +196,6 @@ def view_windows(
     return WindowView(rendering, x0, y0, step, crop.intrinsics[:, 0])
 
 
-def render_windows(
-    vertices: Float[Tensor, "b v 3"],
-    faces: Int[Tensor, "f 3"],
-    face_regions: UInt8[Tensor, "f"],
-    cameras: TorchCameras,
-    sizes: Int[Tensor, "b 2"],
-    layers: TorchLayers | None = None,
-    window: int = WINDOW,
-    person: int = PERSON,
-) -> tuple[TorchWindows, UInt8[Tensor, "b s s"]]:
-    """Normalised windows without noise and their labels, 255 around the person (see :func:`view_windows`)."""
-    view = view_windows(vertices, faces, face_regions, cameras, sizes, layers, window, person)
-    return view.windows(view.rendering.depth_m, view.rendering.person, person=person)
-
-
 def _boxes(
     vertices: Tensor, cameras: TorchCameras, sizes: Tensor, layers: TorchLayers | None
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -225,23 +225,6 @@ def _rate(text: str, manifest: Path) -> float:
     return rate
 
 
-def read_clips(directory: Path, anny_rest: dict[str, Float[ndarray, "3"]]) -> Iterator[Clip]:
-    """Every readable clip of a directory (see :class:`ClipFolder`).
-
-    Raises:
-        InputError: no directory, no clip in it, none that is readable, or a bad manifest.
-    """
-    skipped: list[SkippedClip] = []
-    read = 0
-    for clip in ClipFolder.open(directory).read(anny_rest):
-        if isinstance(clip, Clip):
-            read += 1
-            yield clip
-        else:
-            skipped.append(clip)
-    check_any_read(directory, read, skipped)
-
-
 def check_any_read(directory: Path, read: int, skipped: Sequence[SkippedClip]) -> None:
     """Raise InputError when no clip of a directory could be read."""
     if not read:
