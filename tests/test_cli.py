@@ -13,6 +13,14 @@ def test_help_lists_the_commands(capsys):
         assert f"depthmocap {command}" in printed
 
 
+def test_help_of_half_a_command_lists_the_commands(capsys):
+    for half in ("postures", "train"):
+        assert main([half, "--help"]) == 0
+        assert f"depthmocap {half} " in capsys.readouterr().out
+        assert main([half]) == 2
+        assert f"no command '{half}'" in capsys.readouterr().err
+
+
 def test_unknown_command_is_an_error(capsys):
     assert main(["dance"]) == 2
     assert "no command 'dance'" in capsys.readouterr().err

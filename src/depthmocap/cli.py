@@ -80,6 +80,9 @@ def main(arguments: list[str] | None = None) -> int:
         console.print(__version__, highlight=False)
         return 0
     found = _find(arguments)
+    if found is None and arguments[-1] in ("-h", "--help"):
+        _print_help(console)
+        return 0
     if found is None:
         errors.print(f"error: no command '{' '.join(arguments[:2])}'", style="red", highlight=False, markup=False)
         _print_help(errors)
@@ -101,7 +104,8 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        errors.print(f"error: {where}{error.strerror or error}", style="red", highlight=False, markup=False)
+        message = f"error: {where}{error.strerror or error}"
+        errors.print(message, style="red", highlight=False, markup=False, soft_wrap=True)
         return 2
     except KeyboardInterrupt:
         errors.print("stopped", style="red")
