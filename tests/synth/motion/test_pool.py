@@ -330,6 +330,19 @@ def test_the_papers_sizes() -> None:
 
 
 @pytest.mark.usefixtures("clips")
+def test_a_file_that_cannot_be_written_is_told_before_clips_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(FakeFolder, "read", None)
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=r"cannot write .*pool\.npz"):
+        build(tmp_path / "file" / "pool.npz")
+    (tmp_path / "folder.npz").mkdir()
+    with pytest.raises(InputError, match=r"--out must be a file that ends in \.npz"):
+        build(tmp_path / "folder.npz")
+
+
+@pytest.mark.usefixtures("clips")
 def test_no_clip_is_readable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(FakeFolder, "results", (SkippedClip("bad.bvh", "it is cut off"),))
     with pytest.raises(InputError, match=r"none of its 1 clips is readable; bad\.bvh: it is cut off"):

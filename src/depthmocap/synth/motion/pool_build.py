@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import tempfile
 from collections import Counter
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +17,7 @@ from rich.table import Table
 
 from depthmocap.body.posture import mirror_posture
 from depthmocap.errors import InputError
+from depthmocap.export.output import writing
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.motion.clips.skeletons import read_mapping
 from depthmocap.synth.motion.cover import Cover, farthest_points
@@ -63,8 +65,8 @@ class PoolBuild:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.out.suffix != ".npz":
-            raise InputError(f"--out must end in .npz, got {self.out}")
+        if self.out.suffix != ".npz" or self.out.is_dir():
+            raise InputError(f"--out must be a file that ends in .npz, got {self.out}")
         if self.preset == "paper":
             object.__setattr__(self, "count", 100_000)
             object.__setattr__(self, "easy", 10_000)
@@ -90,13 +92,15 @@ def build_pool(settings: PoolBuild) -> PosturePool:
     postures asked for (about 1.5 kB each), not with that of the clips.
 
     Raises:
-        InputError: no readable clip, or a bad mapping or manifest.
+        InputError: no readable clip, a bad mapping or manifest, or a file that cannot be written.
     """
     console = Console()
     joints = read_mapping(settings.mapping) if settings.mapping else {}
     folder = ClipFolder.open(settings.clips, ClipReading(joints, settings.skeletons))
     rest = anny_rest()
-    settings.out.parent.mkdir(parents=True, exist_ok=True)
+    with writing(settings.out):  # before the clips are read, which may take hours
+        settings.out.parent.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=settings.out.parent).close()
     quotas = [_Quota(round(settings.count * share), round(settings.easy * share)) for share in settings.shares]
     covers = [Cover(settings.spacing_m, max(1000, _CANDIDATES * quota.count)) for quota in quotas]
     read: list[Clip] = []
@@ -141,7 +145,8 @@ def build_pool(settings: PoolBuild) -> PosturePool:
     postures = np.concatenate([postures for postures, _ in parts])
     pool = PosturePool(postures, clips, splits, simple, kinds, tuple(clip.name for clip in read), report)
     report["counts"] = counts_of(pool)
-    pool.save(settings.out)
+    with writing(settings.out):
+        pool.save(settings.out)
     _print_report(console, pool, settings)
     return pool
 

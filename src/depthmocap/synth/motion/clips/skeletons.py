@@ -120,7 +120,7 @@ def map_skeleton(motion: Motion, overrides: Joints | None = None) -> SkeletonMap
     if missing := [bone for bone in REQUIRED_BONES if bone not in joints]:
         raise InputError(
             f"joints {list(motion.names[:6])}… fit no known naming scheme ({', '.join(SCHEMES)}), and guessing found "
-            f"none for {', '.join(missing)}: give a --mapping file"
+            f"none for {', '.join(missing)}: give postures build a --mapping file"
         )
     return SkeletonMap({bone: joints[bone] for bone in POSTURE_BONES if bone in joints}, scheme)
 
