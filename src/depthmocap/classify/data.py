@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import TypeAlias
 
 import cv2
@@ -28,6 +29,9 @@ _FEET = np.isin(np.arange(44), [REGION[f"{part} {side}"] for part in ("ankle", "
 _FEWEST = 300
 #: Share of pictures with errors drawn around the sensor's; the others have just those.
 _RANDOM_ERRORS = 0.5
+#: So many windows in a row show the same person in the same posture, from anywhere by any sensor: making and dressing
+#: people is half of the work.
+_WINDOWS_A_PERSON = 2
 #: Room around the person in the picture that is drawn (pixels): what clings to them or flies beside them.
 _MARGIN = 16
 #: Cloth within this of the skin's outline is not taught as background (metres).
@@ -73,7 +77,7 @@ def training_window(
     """
     for attempt in range(20):
         rng = np.random.default_rng([seed, index, attempt])
-        person = random_dressed(rng, subset).pose(postures.sample(rng)[0])
+        person = _person(seed, index // _WINDOWS_A_PERSON, attempt, subset, postures)
         preset = random_preset(rng)
         places = dataclasses.replace(_PLACES, truncated=0.0 if spoiling is None else spoiling.truncate)
         camera = _cropped(random_camera(rng, person.body, places, preset, "camera"), person)
@@ -91,6 +95,13 @@ def training_window(
         if window is not None and np.count_nonzero(known) > _FEWEST // 2:
             return window.inputs, window.labels_from_image(labels, UNLABELLED)
     raise InputError(f"no person could be drawn in 20 tries (seed {seed}, index {index})")
+
+
+@functools.lru_cache(maxsize=1)
+def _person(seed: int, number: int, attempt: int, subset: Subset, postures: PostureSource) -> PosedPerson:
+    """Whom the windows of a number share."""
+    rng = np.random.default_rng([seed, number, attempt, 1])
+    return random_dressed(rng, subset).pose(postures.sample(rng)[0])
 
 
 def _cropped(camera: DepthCamera, person: PosedPerson) -> DepthCamera | None:
