@@ -183,6 +183,8 @@ def test_damaged_and_foreign_files(tmp_path: Path, content: str) -> None:
     with pytest.raises(InputError, match=r"pool\.npz is not a readable posture pool.*postures build") as raised:
         posture_source(path, "train")
     assert "pickle" not in str(raised.value)
+    with pytest.raises(InputError, match=r"none\.npz does not exist: --postures is a folder"):
+        posture_source(tmp_path / "none.npz", "train")
 
 
 # The command

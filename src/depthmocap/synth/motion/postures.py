@@ -214,6 +214,8 @@ def posture_source(
     """
     if postures is None:
         return PosturePrior.load(simple=simple, variation=variation)
+    if not postures.exists():
+        raise InputError(f"{postures} does not exist: --postures is a folder of motion capture clips or a pool of them")
     if postures.is_file():
         return ClipPostures.of_pool(PosturePool.load(postures), split, simple, variation)
     return ClipPostures(load_clips(postures), split, simple, variation)
