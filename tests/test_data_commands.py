@@ -148,3 +148,9 @@ def test_weights_of_another_network_are_refused(tmp_path):
     save_file({"nothing": torch.zeros(1)}, tmp_path / "other.safetensors")
     with pytest.raises(InputError, match="weights of this network"):
         load_weights(FastNet(), tmp_path / "other.safetensors")
+
+
+@pytest.mark.parametrize("command", ["train classifier --out OUT", "train pose --out OUT", "evaluate bench"])
+def test_seeds_that_cannot_be(command, tmp_path, capsys):
+    assert main([*command.replace("OUT", str(tmp_path / "run")).split(), "--seed", "-1"]) == 2
+    assert "--seed must be at least 0, got -1" in capsys.readouterr().err

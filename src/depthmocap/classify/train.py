@@ -25,7 +25,7 @@ from depthmocap.classify.networks import NETWORKS, masked_logits
 from depthmocap.classify.preprocess import make_window
 from depthmocap.errors import InputError
 from depthmocap.evaluate.metrics import PixelAccuracy
-from depthmocap.settings import plain_settings
+from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, posture_source
 from depthmocap.synth.sample import Subset
 
@@ -165,6 +165,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
 
     The objective is the mean cross-entropy over the masked pixels whose label is known.
     """
+    check_seed(settings.seed)
     out = settings.out
     out.mkdir(parents=True, exist_ok=True)
     (out / "settings.json").write_text(json.dumps(plain_settings(settings), indent=1) + "\n")

@@ -17,7 +17,7 @@ from depthmocap.errors import InputError
 from depthmocap.evaluate.synthetic import Labels, measure, print_numbers
 from depthmocap.frames import FrameSet
 from depthmocap.pipeline import load_ridge
-from depthmocap.settings import plain_settings
+from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.motion.postures import ClipPostures, posture_source
 from depthmocap.synth.output.stream import stream, usable_cores
 from depthmocap.synth.sample import BENCH, Recipe
@@ -64,6 +64,7 @@ def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) ->
     Raises:
         InputError: a set that does not exist, or clips, weights or regressors that cannot be read.
     """
+    check_seed(settings.seed)
     console = console or Console(stderr=True)
     unknown = [name for name in settings.sets if name not in BENCH]
     if unknown or not settings.sets or settings.samples < 1:

@@ -20,7 +20,7 @@ from depthmocap.frames import View
 from depthmocap.pose.cloud import LabelledView, merge_views
 from depthmocap.pose.features import FEATURE_COUNT, cloud_features
 from depthmocap.pose.ridge import RidgeBank, fit_ridge
-from depthmocap.settings import plain_settings
+from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.sample import ANY_SENSOR, CameraRange, Recipe, Sample, Sampler
 
 #: Bound of standardised features of network labels, in deviations. Mislabelled specks move a region's minimum and
@@ -146,6 +146,7 @@ def train_pose(settings: PoseTraining, console: Console | None = None) -> Path:
     Raises:
         InputError: too few samples, or labels or weights that cannot be read.
     """
+    check_seed(settings.seed)
     console = console or Console(stderr=True)
     settings.out.mkdir(parents=True, exist_ok=True)
     (settings.out / "settings.json").write_text(json.dumps(plain_settings(settings), indent=1) + "\n")

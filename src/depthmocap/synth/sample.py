@@ -147,7 +147,7 @@ class Recipe:
             for name in self.sensors
             for each in ([s for s in SENSORS if s != HELD_OUT_SENSOR] if name == ANY_SENSOR else [name])
         ]
-        return tuple(find_sensor(name) for name in names)
+        return tuple(dict.fromkeys(find_sensor(name) for name in names))  # some are sold under two names
 
 
 _BENCH = Recipe("open", "test", sensors=(ANY_SENSOR,), noise="sensor", cameras=CameraRange(roll_rad=0.03))
