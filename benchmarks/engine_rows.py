@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 from rich.console import Console
-from timing import Bench, Row, Timing
+from timing import Bench, Reference, Row, Timing
 
 from depthmocap.body.model import BodyModel
+from depthmocap.body.regions import UNLABELLED
+from depthmocap.datasets.ubc3v import encode_depth, encode_labels, image_paths
+from depthmocap.datasets.ubc3v_write import write_images
 from depthmocap.synth.motion.postures import PosturePrior
 from depthmocap.synth.output.generate import SynthSettings, generate
-from depthmocap.synth.output.stream import ordered
+from depthmocap.synth.output.stream import draw, ordered
 from depthmocap.synth.output.units import Layout
 from depthmocap.synth.people.bodies import random_phenotype
 from depthmocap.synth.render import PosedPerson
@@ -94,3 +99,36 @@ def written(bench: Bench) -> None:
         note = f"{1000 / found:.0f} frames a second by {bench.threads} processes, {size / 1000:.1f} kB a frame"
         timing = Timing(found, found, found, 1)
         bench.rows.append(Row(f"Write a frame: hard, {layout}", timing, goal_ms=goal_ms, note=note))
+
+
+def storing(bench: Bench) -> None:
+    """The two pictures of a frame in UBC3V's layout, beside general code for the same pictures."""
+    recipe = Recipe("hard", views=_VIEWS)
+    views = [view for index in range(6) for view in draw(recipe, 0, index).views]
+
+    def write_pillow() -> None:
+        for view in views:
+            assert view.mask is not None
+            assert view.labels is not None
+            labels = np.where(view.mask, np.where(view.labels == 0, np.uint8(UNLABELLED), view.labels), np.uint8(0))
+            for path, rgba in (
+                ("depth.png", encode_depth(view.depth_m, view.mask)),
+                ("labels.png", encode_labels(labels)),
+            ):
+                data = io.BytesIO()
+                Image.fromarray(rgba).save(data, "PNG", compress_level=3)
+                (bench.folder / path).write_bytes(data.getvalue())
+
+    def write_ours() -> None:
+        for view in views:
+            write_images(bench.folder / "written", 0, [view])
+
+    write_ours()
+    last = views[-1]
+    assert last.mask is not None
+    with Image.open(image_paths(bench.folder / "written", last.camera.name, 0)[0]) as image:
+        same = bool((np.array(image) == encode_depth(last.depth_m, last.mask)).all())
+    bench.measure(
+        "Store a frame of UBC3V", write_ours, Reference("Pillow, level 3", write_pillow, len(views)),
+        items=len(views), agrees=same, note="depth and labels, RGBA 512×424",
+    )  # fmt: skip

@@ -103,6 +103,7 @@ def measure(settings: Settings, folder: Path, console: Console) -> Bench:
         "rendering on a GPU": gpu_rows.rows,
         "making frames": engine_rows.frames,
         "writing frames": engine_rows.written,
+        "storing frames": engine_rows.storing,
         "labelling": label_rows.labelling,
         "segmentation": pose_rows.segmentation,
         "joints": pose_rows.joints,
