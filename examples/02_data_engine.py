@@ -39,6 +39,11 @@ def picture(view: View) -> ndarray:
     return np.vstack([above, cv2.resize(coloured, (SIDE, SIDE), interpolation=cv2.INTER_NEAREST)])
 
 
+def shown(view: View) -> int:
+    """How much of the person's skin can be labelled."""
+    return 0 if view.labels is None else int(np.count_nonzero(view.labels))
+
+
 def main(path: str) -> None:
     """One person a sensor, of three views the one that shows most of them."""
     cameras = CameraRange(distance_m=(2.0, 2.6), height_m=(0.9, 1.9))
@@ -46,7 +51,7 @@ def main(path: str) -> None:
     for index, sensor in enumerate(SENSORS):
         recipe = Recipe("open", sensors=(sensor,), noise="sensor", scene="full", cameras=cameras)
         views = Sampler(recipe, seed=4)(index).views
-        tiles.append(picture(max(views, key=lambda view: np.count_nonzero(view.labels))))
+        tiles.append(picture(max(views, key=shown)))
     Image.fromarray(np.hstack(tiles)).save(path, quality=85)
 
 
