@@ -31,16 +31,11 @@ from rich.table import Table
 from timing import Bench, Row, Timing
 
 from depthmocap.errors import InputError
+from depthmocap.synth.output.stream import usable_cores
 
 #: Load per core at the start from which on numbers mean little.
 _BUSY = 0.5
 _PACKAGES = ("depthmocap", "numpy", "numba", "onnxruntime", "torch", "anny", "embreex")
-
-
-def _usable_cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,7 +63,7 @@ def machine() -> dict[str, Any]:
         "platform": platform.platform(),
         "processor": _processor(),
         "cores": os.cpu_count(),
-        "usable_cores": _usable_cores(),
+        "usable_cores": usable_cores(),
         "load_1min": round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None,
         "python": platform.python_version(),
         **{name: _version(name) for name in _PACKAGES},
@@ -95,7 +90,7 @@ def _version(package: str) -> str | None:
 def measure(settings: Settings, folder: Path, console: Console) -> Bench:
     """Run every group of rows; one that cannot run becomes a note."""
     runs, warm_up = (8, 2) if settings.quick else (max(settings.runs, 1), 4)
-    bench = Bench(runs, warm_up, settings.threads or _usable_cores(), folder)
+    bench = Bench(runs, warm_up, settings.threads or usable_cores(), folder)
     groups: dict[str, Callable[[Bench], None]] = {
         "rendering": body_rows.rendering,
         "rendering beside Open3D": body_rows.rendering_open3d,

@@ -22,7 +22,14 @@ from depthmocap.synth.people.bodies import random_dressed
 from depthmocap.synth.render import PosedPerson, Rendering, render_person
 from depthmocap.synth.scenes.scene import OFF, SCENE_PRESETS, Scene, random_scene, render_scene
 from depthmocap.synth.sensing.sensor import sense
-from depthmocap.synth.sensing.sensors import HELD_OUT_SENSOR, SENSORS, SensorPreset, find_sensor, random_model
+from depthmocap.synth.sensing.sensors import (
+    HELD_OUT_SENSOR,
+    SENSORS,
+    TRAINED_SENSORS,
+    SensorPreset,
+    find_sensor,
+    random_model,
+)
 
 Subset = Literal["easy", "inter", "hard", "open"]
 Split = Literal["train", "valid", "test"]
@@ -142,12 +149,8 @@ class Recipe:
         Raises:
             InputError: when a name is no sensor's.
         """
-        names = [
-            each
-            for name in self.sensors
-            for each in ([s for s in SENSORS if s != HELD_OUT_SENSOR] if name == ANY_SENSOR else [name])
-        ]
-        return tuple(dict.fromkeys(find_sensor(name) for name in names))  # some are sold under two names
+        named = (TRAINED_SENSORS if name == ANY_SENSOR else (find_sensor(name),) for name in self.sensors)
+        return tuple(dict.fromkeys(preset for presets in named for preset in presets))
 
 
 _BENCH = Recipe("open", "test", sensors=(ANY_SENSOR,), noise="sensor", cameras=CameraRange(roll_rad=0.03))

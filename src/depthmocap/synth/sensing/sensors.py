@@ -211,6 +211,8 @@ SENSORS: dict[str, SensorPreset] = {
 
 #: Never drawn for training, so that it shows how well what was learnt carries over to a sensor never seen.
 HELD_OUT_SENSOR = "kinect1"
+#: All others; those sold under two names once.
+TRAINED_SENSORS = tuple(dict.fromkeys(preset for name, preset in SENSORS.items() if name != HELD_OUT_SENSOR))
 
 
 def find_sensor(name: str) -> SensorPreset:
@@ -229,8 +231,7 @@ def random_preset(rng: np.random.Generator, held_out: bool = False) -> SensorPre
     that one. Place the camera so that the person is within its range: that of some modes ends at 2.2 m."""
     if held_out:
         return SENSORS[HELD_OUT_SENSOR]
-    presets = list(dict.fromkeys(preset for name, preset in SENSORS.items() if name != HELD_OUT_SENSOR))
-    return presets[int(rng.integers(len(presets)))]
+    return TRAINED_SENSORS[int(rng.integers(len(TRAINED_SENSORS)))]
 
 
 def random_model(rng: np.random.Generator, preset: SensorPreset) -> SensorModel:
