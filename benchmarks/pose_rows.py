@@ -13,16 +13,15 @@ from numpy import ndarray
 from timing import Bench, Reference, Row, Timing
 
 from depthmocap.body.regions import REGION_COUNT
-from depthmocap.body.skeleton import JOINTS
 from depthmocap.capture.recording import Recording
 from depthmocap.capture.segment import PersonSegmenter
 from depthmocap.frames import View
 from depthmocap.geometry.transforms import transform_points
-from depthmocap.pipeline import STAGES, Pipeline, load_ridge
+from depthmocap.pipeline import STAGES, Pipeline
 from depthmocap.pose.cloud import LabelledView, merge_views
-from depthmocap.pose.estimate import estimate_joints
-from depthmocap.pose.features import FEATURE_COUNT, FEATURES_PER_REGION, MIN_POINTS, cloud_features
-from depthmocap.pose.ridge import RidgeBank, RidgePose
+from depthmocap.pose.estimate import RidgeEstimator, load_estimator
+from depthmocap.pose.features import FEATURES_PER_REGION, MIN_POINTS, cloud_features
+from depthmocap.pose.ridge import RidgePose
 from depthmocap.pose.smooth import DEFAULT_WEIGHTS
 from depthmocap.synth.motion.postures import PosturePrior
 from depthmocap.synth.people.bodies import random_dressed
@@ -37,24 +36,11 @@ POSE_GOAL_MS = 10.0
 _NEAR = CameraRange(distance_m=(1.4, 1.4), height_m=(0.8, 1.2), aim_m=0.0)
 
 
-def load_bank(bench: Bench) -> RidgeBank:
-    """The packaged regressors, or random ones, which take as long."""
-    packaged = Path(str(importlib.resources.files("depthmocap.pose") / "weights" / "network.npz"))
-    if packaged.is_file():
-        return load_ridge()
-    missing = "no packaged regressors: random ones stand in for them"
-    if missing not in bench.notes:
-        bench.notes.append(missing)
-    rng = np.random.default_rng(5)
-    outputs = 3 * len(JOINTS)
-    weights = rng.normal(0, 0.03, (FEATURE_COUNT, outputs)).astype(np.float32)
-    zeros, ones = np.zeros(FEATURE_COUNT, np.float32), np.ones(FEATURE_COUNT, np.float32)
-    return RidgeBank((RidgePose(zeros, ones, weights, np.zeros(outputs, np.float32), 1.0),))
-
-
 def joints(bench: Bench) -> None:
-    """From three labelled views to joints, against the same in plain NumPy."""
-    bank = load_bank(bench)
+    """From three labelled views to joints, by the paper's ridge against the same in plain NumPy, and by votes."""
+    ridge, votes = load_estimator("ridge"), load_estimator("votes")
+    assert isinstance(ridge, RidgeEstimator)
+    bank = ridge.bank
     # Of some samples, the one nearest to 30,000 pixels a view.
     draw = Sampler(Recipe("open", sensors=("kinect2",), noise="sensor", cameras=_NEAR), seed=6)
     samples = [draw(i) for i in range(12)]
@@ -66,7 +52,7 @@ def joints(bench: Bench) -> None:
         parts.append((view, labels, view.mask.astype(np.float32)))
 
     def ours() -> tuple[ndarray, ndarray]:
-        return estimate_joints(bank, merge_views(parts), "z", len(parts))
+        return ridge(merge_views(parts))
 
     def plain() -> ndarray:
         return _plain_joints(bank.model_for(len(parts)), parts)[1]
@@ -77,9 +63,13 @@ def joints(bench: Bench) -> None:
     error_mm = float(np.abs(ours()[0] - plain()).max() * 1e3)
     same_seen = np.array_equal(np.isnan(features), np.isnan(plain_features))
     bench.measure(
-        "Merge 3 views, features, joints", ours, Reference("plain NumPy", plain), goal_ms=POSE_GOAL_MS,
+        "Merge 3 views, joints by ridge", ours, Reference("plain NumPy", plain), goal_ms=POSE_GOAL_MS,
         agrees=same_seen and feature_error < 1e-4 and error_mm < 0.5,
         note=f"{len(merge_views(parts))} points; features within {feature_error:.2g}, joints within {error_mm:.2g} mm",
+    )  # fmt: skip
+    bench.measure(
+        "Merge 3 views, joints by votes", lambda: votes(merge_views(parts)), Reference("by ridge", ours),
+        goal_ms=POSE_GOAL_MS,
     )  # fmt: skip
 
 
@@ -146,7 +136,7 @@ def whole_pipeline(bench: Bench, recording: Path | None) -> None:
         return
     source = Recording(path)
     pipeline = Pipeline(
-        load_classifier(bench), load_bank(bench), PersonSegmenter.from_recording(source), source.up, DEFAULT_WEIGHTS
+        load_classifier(bench), load_estimator(), PersonSegmenter.from_recording(source), source.up, DEFAULT_WEIGHTS
     )
     sets = min(len(source), bench.warm_up + bench.runs)
     total, reading, stages = [], [], []

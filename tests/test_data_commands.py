@@ -15,6 +15,7 @@ from depthmocap.classify.train import ClassifierTraining, load_weights, train_cl
 from depthmocap.cli import main
 from depthmocap.datasets.ubc3v import Section, sections
 from depthmocap.evaluate.ubc3v import Ubc3vEvaluation, evaluate_ubc3v
+from depthmocap.pose.collect import PoseSamples
 from depthmocap.pose.ridge import RidgeBank
 from depthmocap.pose.train import PoseTraining, train_pose
 from depthmocap.synth.output.generate import SynthSettings, generate
@@ -97,20 +98,28 @@ def test_evaluation_says_what_is_missing(tmp_path, capsys):
 
 
 def test_train_pose_from_a_folder(root, tmp_path):
-    settings = PoseTraining(tmp_path, data=str(root), labels="true", subset="hard", samples=24, views=(2, 3))
-    path = train_pose(settings)
-    bank = RidgeBank.load(path)
-    assert [model.views for model in bank.models] == [2, 3]
-    numbers = evaluate_ubc3v(Ubc3vEvaluation(root, labels="true", regressor=path))
-    assert numbers["mean_joint_error_cm"] < 40  # 24 samples teach little, but not nothing
+    source = PoseSamples(str(root), subset="hard", samples=24, views=(2, 3))
+    settings = PoseTraining(tmp_path, source, minutes=0.05)
+    network, true, votes = train_pose(settings)
+    assert [path.name for path in (network, true, votes)] == ["ridge_network.npz", "ridge_true.npz", "votes.onnx"]
+    for path, labels in ((network, "network"), (true, "true")):
+        models = RidgeBank.load(path).models
+        assert [(model.views, model.labels) for model in models] == [(2, labels), (3, labels)]
+    for path in (true, votes):
+        numbers = evaluate_ubc3v(Ubc3vEvaluation(root, labels="true", estimator=str(path)))
+        assert numbers["mean_joint_error_cm"] < 60  # 24 samples teach little, but not nothing
 
 
 def test_train_pose_absolute_from_synth(body_model, tmp_path):
-    settings = PoseTraining(tmp_path, labels="true", samples=30, views=(3,), absolute=True)
-    bank = RidgeBank.load(train_pose(settings))
-    assert bank.absolute
+    source = PoseSamples(samples=30, views=(3,), absolute=True, workers=0)
+    settings = PoseTraining(tmp_path, source, "ridge")
+    for path in train_pose(settings):
+        assert RidgeBank.load(path).absolute
+    with pytest.raises(InputError, match="other settings"):
+        train_pose(dataclasses.replace(settings, source=dataclasses.replace(source, seed=1)))
+    few = dataclasses.replace(source, samples=2)
     with pytest.raises(InputError, match="too few"):
-        train_pose(dataclasses.replace(settings, samples=2))
+        train_pose(dataclasses.replace(settings, out=tmp_path / "few", source=few))
 
 
 def test_train_classifier_resumes_and_exports(root, tmp_path):

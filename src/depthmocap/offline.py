@@ -25,7 +25,8 @@ from depthmocap.evaluate.metrics import joint_metrics
 from depthmocap.export import CsvWriter, write_bvh, write_trc
 from depthmocap.frames import FrameSource, Pose
 from depthmocap.offline_report import Pictures, write_run_report
-from depthmocap.pipeline import STAGES, Pipeline, load_ridge
+from depthmocap.pipeline import STAGES, Pipeline
+from depthmocap.pose.estimate import load_estimator
 from depthmocap.pose.smooth import weights_for
 
 Smoothing = Literal["auto", "none", "average"]
@@ -42,7 +43,7 @@ class RunSettings:
         smooth: "average" is the paper's weighted average of the last frames; "auto" uses it for recordings but not for
             UBC3V sections, whose frames do not follow each other.
         weights: a classifier.onnx of your own.
-        regressor: a ridge.npz of your own.
+        estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
         report: draw report.html and the animated preview.
     """
 
@@ -51,7 +52,7 @@ class RunSettings:
     segment: Literal["auto", "none"] = "auto"
     smooth: Smoothing = "auto"
     weights: Path | None = None
-    regressor: Path | None = None
+    estimator: str = "votes"
     report: bool = True
 
 
@@ -74,7 +75,7 @@ def load_pipeline(
     segment: Literal["auto", "none"] = "auto",
     smooth: Smoothing = "auto",
     weights: Path | None = None,
-    regressor: Path | None = None,
+    estimator: str = "votes",
 ) -> Pipeline:
     """The pipeline for a source, its background learnt, with the packaged weights or your own (see RunSettings).
 
@@ -88,7 +89,7 @@ def load_pipeline(
         smoothing = weights_for(period_ns / 1e9)
     return Pipeline(
         Classifier(weights),
-        load_ridge(regressor),
+        load_estimator(estimator),
         PersonSegmenter.from_recording(source, segment),
         source.up,
         smoothing,
@@ -108,7 +109,7 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     except OSError as error:
         raise InputError(f"cannot write to {settings.out}: {error.strerror}") from None
     with console.status("reading the background and the weights"):
-        pipeline = load_pipeline(source, settings.segment, settings.smooth, settings.weights, settings.regressor)
+        pipeline = load_pipeline(source, settings.segment, settings.smooth, settings.weights, settings.estimator)
         # The first frame ever compiles the inner loops, which would be taken for the machine's speed.
         for frames in source:
             pipeline(frames)

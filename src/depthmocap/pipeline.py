@@ -7,11 +7,9 @@ before; replace one and keep the rest.
 from __future__ import annotations
 
 import dataclasses
-import importlib.resources
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -20,8 +18,7 @@ from numpy import ndarray
 from depthmocap.classify.runtime import Classifier
 from depthmocap.frames import FrameSet, Pose, View
 from depthmocap.pose.cloud import LabelledCloud, merge_views
-from depthmocap.pose.estimate import estimate_joints
-from depthmocap.pose.ridge import RidgeBank
+from depthmocap.pose.estimate import JointEstimator
 from depthmocap.pose.smooth import CausalAverage
 
 STAGES = ("segment", "label", "merge", "joints", "smooth")
@@ -39,18 +36,13 @@ class Result:
     milliseconds: dict[str, float]
 
 
-def load_ridge(path: Path | None = None, labels: str = "network") -> RidgeBank:
-    """The packaged regressors for network or true labels, or the user's own file."""
-    return RidgeBank.load(path or Path(str(importlib.resources.files("depthmocap.pose") / "weights" / f"{labels}.npz")))
-
-
 class Pipeline:
     """Depth views to joints. Keeps state only for smoothing; :meth:`reset` forgets it."""
 
     def __init__(
         self,
         classifier: Classifier,
-        regressor: RidgeBank,
+        estimator: JointEstimator,
         segment: Callable[[View], Bool[ndarray, "_ _"]],
         up: str = "z",
         smoothing: Float[ndarray, "k"] | None = None,
@@ -61,7 +53,7 @@ class Pipeline:
             up: the world's up axis.
             smoothing: weights of the current and the previous estimates (paper, Sec. IV-C); None for no smoothing.
         """
-        self._classifier, self._regressor, self.segment, self._up = classifier, regressor, segment, up
+        self._classifier, self._estimator, self.segment, self._up = classifier, estimator, segment, up
         self.smoothing = None if smoothing is None else smoothing.tolist()
         self._smooth = CausalAverage(smoothing) if smoothing is not None else None
         self._pool = ThreadPoolExecutor(max_workers=4)
@@ -80,9 +72,8 @@ class Pipeline:
         clock.append(time.perf_counter())
         parts = [(view, labels, weights) for view, (labels, weights) in zip(frames.views, labelled, strict=True)]
         cloud = merge_views(parts)
-        seen_by = sum(bool(labels.any()) for labels, _ in labelled)
         clock.append(time.perf_counter())
-        joints, confidence = estimate_joints(self._regressor, cloud, self._up, max(seen_by, 1))
+        joints, confidence = self._estimator(cloud, self._up)
         clock.append(time.perf_counter())
         if self._smooth is not None:
             joints = self._smooth(joints)

@@ -35,40 +35,47 @@ def test_pictures_of_a_batch_do_not_mix() -> None:
         torch.testing.assert_close(network(x)[1:2], network(x[1:2]), atol=1e-4, rtol=1e-4)
 
 
+def shuffled(logits: torch.Tensor) -> torch.Tensor:
+    """Logits (n, h, w, 44) of all pixels. Channel 44·k + c is class c of pixel k; pixel_shuffle wants all k of a class
+    together."""
+    n, _, h, w = logits.shape
+    by_class = logits.reshape(n, 4, CLASSES, h, w).transpose(1, 2).reshape(n, CLASSES * 4, h, w)
+    return torch.nn.functional.pixel_shuffle(by_class, 2).permute(0, 2, 3, 1)
+
+
 def test_masked_logits_are_those_of_the_shuffled_output() -> None:
     generator = torch.Generator().manual_seed(0)
-    n, h, w = 3, 6, 10
-    logits = torch.randn(n, 4 * CLASSES, h, w, generator=generator)
-    labels = torch.arange(n * 4 * h * w).reshape(n, 2 * h, 2 * w)  # every pixel its own number, to tell them apart
-    mask = torch.rand(n, 2 * h, 2 * w, generator=generator) < 0.4
-    chosen, truth = masked_logits(logits, labels, mask)
-    # Channel 44·k + c is class c of pixel k; pixel_shuffle wants all k of a class together.
-    by_class = logits.reshape(n, 4, CLASSES, h, w).transpose(1, 2).reshape(n, CLASSES * 4, h, w)
-    full = torch.nn.functional.pixel_shuffle(by_class, 2).permute(0, 2, 3, 1)
+    network = small_network()
+    x = torch.randn(3, 3, 32, 64, generator=generator)
+    labels = torch.arange(3 * 32 * 64).reshape(3, 32, 64)  # every pixel its own number, to tell them apart
+    mask = torch.rand(3, 32, 64, generator=generator) < 0.4
+    with torch.no_grad():
+        chosen, truth = masked_logits(network, x, labels, mask)
+        full = shuffled(network(x))
     order = truth.argsort()
     assert torch.equal(truth[order], labels[mask])
-    assert torch.equal(chosen[order], full[mask])
+    torch.testing.assert_close(chosen[order], full[mask], atol=1e-4, rtol=1e-4)
 
 
 @pytest.mark.parametrize(("row", "column"), [(0, 0), (0, 1), (1, 0), (1, 1)])
 def test_pixel_of_a_group(row: int, column: int) -> None:
-    logits = torch.zeros(1, 4 * CLASSES, 2, 2)
-    logits[0, CLASSES * (2 * row + column) + 7, 1, 0] = 1
-    mask = torch.zeros(1, 4, 4, dtype=torch.bool)
+    network = small_network()
+    with torch.no_grad():
+        network.head.weight.zero_()
+        network.head.bias.zero_()
+        network.head.bias[CLASSES * (2 * row + column) + 7] = 1
+    mask = torch.zeros(1, 32, 32, dtype=torch.bool)
     mask[0, 2 + row, column] = True
-    labels = torch.zeros(1, 4, 4, dtype=torch.uint8)
+    labels = torch.zeros(1, 32, 32, dtype=torch.uint8)
     labels[mask] = 9
-    chosen, truth = masked_logits(logits, labels, mask)
+    chosen, truth = masked_logits(network, torch.zeros(1, 3, 32, 32), labels, mask)
     assert chosen.argmax(1).tolist() == [7]
     assert truth.tolist() == [9]
 
 
 def test_empty_mask() -> None:
-    chosen, truth = masked_logits(
-        torch.zeros(2, 4 * CLASSES, 4, 4),
-        torch.zeros(2, 8, 8, dtype=torch.uint8),
-        torch.zeros(2, 8, 8, dtype=torch.bool),
-    )
+    empty = torch.zeros(2, 32, 32, dtype=torch.uint8)
+    chosen, truth = masked_logits(small_network(), torch.zeros(2, 3, 32, 32), empty, empty.bool())
     assert chosen.shape == (0, CLASSES)
     assert truth.shape == (0,)
 
@@ -76,7 +83,7 @@ def test_empty_mask() -> None:
 def test_gradient_reaches_every_parameter() -> None:
     network = small_network().train()
     labels = torch.randint(0, CLASSES, (2, 64, 64))
-    chosen, truth = masked_logits(network(torch.randn(2, 3, 64, 64)), labels, labels > 20)
+    chosen, truth = masked_logits(network, torch.randn(2, 3, 64, 64), labels, labels > 20)
     torch.nn.functional.cross_entropy(chosen, truth).backward()
     for name, parameter in network.named_parameters():
         assert parameter.grad is not None, name

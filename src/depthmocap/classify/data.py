@@ -30,8 +30,8 @@ _FEWEST = 300
 #: Share of pictures with errors drawn around the sensor's; the others have just those.
 _RANDOM_ERRORS = 0.5
 #: So many windows in a row show the same person in the same posture, from anywhere by any sensor: making and dressing
-#: people is half of the work.
-_WINDOWS_A_PERSON = 2
+#: people would be half of the work.
+_WINDOWS_A_PERSON = 4
 #: Room around the person in the picture that is drawn (pixels): what clings to them or flies beside them.
 _MARGIN = 16
 #: Cloth within this of the skin's outline is not taught as background (metres).
@@ -135,7 +135,7 @@ def _background(
         )
         depth, material = render_scene(scene, camera)
     if rng.random() < spoiling.floor:
-        floor = _floor(camera, float(person.vertices[:, 2].min()) - 0.01)
+        floor = _floor(camera, person.lowest_m)
         if depth is None or material is None:
             depth, material = np.zeros_like(floor), np.zeros(floor.shape, np.uint8)
         nearer = (floor > 0) & ((depth == 0) | (floor < depth))

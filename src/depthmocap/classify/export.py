@@ -5,10 +5,14 @@ from __future__ import annotations
 import copy
 import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import nn
+
+if TYPE_CHECKING:
+    import onnx
 
 from depthmocap.classify.preprocess import WINDOW
 
@@ -20,7 +24,7 @@ def export_onnx(network: nn.Module, path: Path, metadata: dict[str, str]) -> Pat
     folds away when it loads the file: half the size, fp32 arithmetic.
     """
     import onnx
-    from onnx import TensorProto, helper, numpy_helper
+    from onnx import helper
 
     network = copy.deepcopy(network).cpu().eval()
     example = torch.zeros(2, 3, WINDOW, WINDOW)
@@ -33,6 +37,19 @@ def export_onnx(network: nn.Module, path: Path, metadata: dict[str, str]) -> Pat
     assert program is not None
     program.optimize()
     model = program.model_proto
+    store_half(model)
+    helper.set_model_props(model, metadata)
+    onnx.checker.check_model(model)
+    partial = path.with_suffix(".tmp")
+    onnx.save(model, partial)
+    partial.replace(path)
+    return path
+
+
+def store_half(model: onnx.ModelProto) -> None:
+    """Store the large weights of an ONNX model as fp16 behind a cast, in place."""
+    from onnx import TensorProto, helper, numpy_helper
+
     graph = model.graph
     casts = []
     for tensor in list(graph.initializer):
@@ -45,9 +62,3 @@ def export_onnx(network: nn.Module, path: Path, metadata: dict[str, str]) -> Pat
     nodes = [*casts, *graph.node]
     del graph.node[:]
     graph.node.extend(nodes)
-    helper.set_model_props(model, metadata)
-    onnx.checker.check_model(model)
-    partial = path.with_suffix(".tmp")
-    onnx.save(model, partial)
-    partial.replace(path)
-    return path

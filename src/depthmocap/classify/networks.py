@@ -51,6 +51,10 @@ class FastNet(nn.Module):
         self.head = nn.Conv2d(widths[0], 4 * CLASSES, 1)
 
     def forward(self, x: Tensor) -> Tensor:
+        return self.head(self.features(x))
+
+    def features(self, x: Tensor) -> Tensor:
+        """What the head reads, ``(n, c, s/2, s/2)``."""
         x = self.stem(x)
         skips = [x]
         for level in self.down:
@@ -59,22 +63,26 @@ class FastNet(nn.Module):
         for i in reversed(range(len(self.lateral))):
             x = nn.functional.interpolate(self.lateral[i](x), scale_factor=2.0, mode="nearest") + skips[i]
             x = self.up[i](x)
-        return self.head(x)
+        return x
 
 
 NETWORKS = {"fast": FastNet}
 
 
-def masked_logits(logits: Tensor, labels: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-    """Logits (m, 44) and labels (m,) of the masked pixels, without ever shuffling the head's output to full size.
+def masked_logits(network: FastNet, x: Tensor, labels: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Logits (m, 44) and labels (m,) of the masked pixels alone: a person fills a sixth of a window, and the head's
+    output for the rest is never made.
 
     Args:
-        logits: (n, 4·44, s/2, s/2) as :class:`FastNet` gives them.
+        x: (n, 3, s, s) windows.
         labels: (n, s, s) integers.
         mask: (n, s, s) bool.
     """
-    n, _, h, w = logits.shape
-    grouped = logits.permute(0, 2, 3, 1).reshape(n, h, w, 4, CLASSES)
-    mask4 = nn.functional.pixel_unshuffle(mask[:, None].to(torch.uint8), 2).permute(0, 2, 3, 1).bool()
-    labels4 = nn.functional.pixel_unshuffle(labels[:, None], 2).permute(0, 2, 3, 1)
-    return grouped[mask4], labels4[mask4]
+    features = network.features(x).permute(0, 2, 3, 1).flatten(0, 2)
+    mask4 = nn.functional.pixel_unshuffle(mask[:, None].to(torch.uint8), 2).permute(0, 2, 3, 1).reshape(-1, 4)
+    labels4 = nn.functional.pixel_unshuffle(labels[:, None], 2).permute(0, 2, 3, 1).reshape(-1, 4)
+    groups = mask4.any(1).nonzero()[:, 0]
+    pixels = mask4[groups].flatten().nonzero()[:, 0]
+    head = network.head
+    logits = nn.functional.linear(features.index_select(0, groups), head.weight.flatten(1), head.bias)
+    return logits.reshape(-1, CLASSES).index_select(0, pixels), labels4[groups].flatten()[pixels]

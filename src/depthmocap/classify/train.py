@@ -17,17 +17,21 @@ from numpy import ndarray
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from safetensors.torch import save_file
 from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from depthmocap.body.regions import UNLABELLED
 from depthmocap.classify.data import Spoiling, training_window
 from depthmocap.classify.export import export_onnx
-from depthmocap.classify.networks import NETWORKS, masked_logits
+from depthmocap.classify.networks import NETWORKS, FastNet, masked_logits
 from depthmocap.classify.preprocess import make_window
 from depthmocap.errors import InputError
 from depthmocap.evaluate.metrics import PixelAccuracy
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, posture_source
 from depthmocap.synth.sample import Subset
+
+#: What is validated and kept is an average of the weights over about 1 / (1 - this) steps.
+_AVERAGE = 0.998
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,16 +151,15 @@ def _validation(settings: ClassifierTraining) -> tuple[Tensor, Tensor]:
     )
 
 
-def evaluate_windows(network: nn.Module, inputs: Tensor, labels: Tensor, device: str = "cpu") -> PixelAccuracy:
+def evaluate_windows(network: FastNet, inputs: Tensor, labels: Tensor, device: str = "cpu") -> PixelAccuracy:
     """Accuracy over windows (n, 3, s, s) and labels (n, s, s) uint8, on the person's labelled pixels."""
     network.eval()
     accuracy = PixelAccuracy()
-    with torch.no_grad(), torch.autocast(device.split(":")[0], torch.bfloat16):
+    with torch.no_grad():
         for x, y in zip(inputs.split(16), labels.split(16), strict=True):
-            logits = network(x.to(device).to(memory_format=torch.channels_last)).cpu()
-            mask = (x[:, 1] > 0) & (y != UNLABELLED)
-            chosen, truth = masked_logits(logits, y, mask)
-            accuracy.add(truth.numpy(), chosen.float().argmax(1).numpy().astype(np.uint8))
+            x, y = x.to(device).to(memory_format=torch.channels_last), y.to(device)
+            chosen, truth = masked_logits(network, x, y, (x[:, 1] > 0) & (y != UNLABELLED))
+            accuracy.add(truth.cpu().numpy(), chosen.argmax(1).cpu().numpy().astype(np.uint8))
     return accuracy
 
 
@@ -173,6 +176,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     network = NETWORKS[settings.network]().to(settings.device).to(memory_format=torch.channels_last)  # pyright: ignore
     if settings.start is not None:
         load_weights(network, settings.start)
+    average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(_AVERAGE), use_buffers=True)
     optimiser = torch.optim.AdamW(
         network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, betas=(0.9, 0.98)
     )
@@ -181,6 +185,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     if checkpoint.exists():
         state = torch.load(checkpoint, map_location=settings.device, weights_only=True)
         network.load_state_dict(state["network"])
+        average.load_state_dict(state["average"])
         optimiser.load_state_dict(state["optimiser"])
         done, spent, history = state["done"], state["spent"], json.loads(state["history"])
 
@@ -200,8 +205,9 @@ def train_classifier(settings: ClassifierTraining) -> Path:
 
     def save() -> None:
         partial = checkpoint.with_suffix(".tmp")
-        state = {"network": network.state_dict(), "optimiser": optimiser.state_dict(), "done": done, "spent": spent}
-        torch.save({**state, "history": json.dumps(history)}, partial)
+        parts = {"network": network, "average": average, "optimiser": optimiser}
+        state = {name: part.state_dict() for name, part in parts.items()}
+        torch.save({**state, "done": done, "spent": spent, "history": json.dumps(history)}, partial)
         partial.replace(checkpoint)
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
@@ -222,13 +228,13 @@ def train_classifier(settings: ClassifierTraining) -> Path:
             x = x.to(settings.device).to(memory_format=torch.channels_last)
             y = y.to(settings.device)
             with torch.autocast(settings.device.split(":")[0], torch.bfloat16, enabled=settings.bfloat16):
-                logits = network(x)
-            chosen, truth = masked_logits(logits, y, (x[:, 1] > 0) & (y != UNLABELLED))
+                chosen, truth = masked_logits(network, x, y, (x[:, 1] > 0) & (y != UNLABELLED))
             loss = nn.functional.cross_entropy(chosen.float(), truth.long())
             optimiser.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(network.parameters(), 5.0)
             optimiser.step()
+            average.update_parameters(network)
             before = done
             done += settings.batch
             spent += time.monotonic() - clock
@@ -238,7 +244,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
             progress.update(task, completed=_share(settings, done, spent),
                             description=f"{done} images  loss {np.mean(running[-50:]):.3f}")  # fmt: skip
             if before // settings.valid_every != done // settings.valid_every:
-                accuracy = evaluate_windows(network, valid_x, valid_y, settings.device)
+                accuracy = evaluate_windows(average.module, valid_x, valid_y, settings.device)
                 row = {
                     "step": done, "minutes": spent / 60, "loss": float(np.mean(running)),
                     "train_pixel_accuracy": float(np.mean(hits)),
@@ -250,7 +256,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
                 save()
                 _write_history(out, history)
     save()
-    network.eval()
+    network = average.module.eval()
     # Norms and biases are few and keep their range; kernels take half the space.
     half = {k: v.half() if v.is_floating_point() and v.ndim > 1 else v for k, v in network.cpu().state_dict().items()}
     save_file({k: v.contiguous() for k, v in half.items()}, out / "classifier.safetensors")

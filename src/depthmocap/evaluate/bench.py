@@ -16,7 +16,7 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.evaluate.synthetic import Labels, measure, print_numbers
 from depthmocap.frames import FrameSet
-from depthmocap.pipeline import load_ridge
+from depthmocap.pose.estimate import load_estimator
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.motion.postures import ClipPostures, posture_source
 from depthmocap.synth.output.stream import stream, usable_cores
@@ -37,7 +37,7 @@ class BenchEvaluation:
         labels: "network" runs the classifier; "true" gives the pose stage the true labels, its floor.
         json: file for all numbers.
         weights: a classifier.onnx of your own.
-        regressor: a ridge.npz of your own.
+        estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
         workers: processes that make the pictures.
     """
 
@@ -49,7 +49,7 @@ class BenchEvaluation:
     seed: int = 1
     json: Path | None = None
     weights: Path | None = None
-    regressor: Path | None = None
+    estimator: str = "votes"
     workers: int = usable_cores()
 
 
@@ -70,7 +70,7 @@ def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) ->
     if unknown or not settings.sets or settings.samples < 1:
         raise InputError(f"--sets takes {', '.join(map(repr, BENCH))} and --samples at least 1; got {settings.sets}")
     classifier = Classifier(settings.weights) if settings.labels == "network" else None
-    regressor = load_ridge(settings.regressor, settings.labels)
+    estimator = load_estimator(settings.estimator, settings.labels)
     source = posture_source(settings.postures, "test")
     clips = source.names if isinstance(source, ClipPostures) else []  # none: postures are of the prior
     numbers: dict[str, Any] = {}
@@ -78,7 +78,7 @@ def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) ->
         recipe = dataclasses.replace(BENCH[name], postures=settings.postures, views=max(settings.views, 1))
         with Progress(console=console) as progress:
             frames = progress.track(_frames(recipe, settings), settings.samples, description=name)
-            found = measure(frames, settings.views, regressor, classifier)
+            found = measure(frames, settings.views, estimator, classifier)
         assert found is not None  # every sample has labels and joints
         numbers[name] = {"recipe": plain_settings(recipe), "seed": settings.seed, "clips": clips, **found}
         print_numbers(f"bench, {name}", found, console)

@@ -17,8 +17,7 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.evaluate.metrics import PixelAccuracy, joint_metrics
 from depthmocap.frames import FrameSet, View
 from depthmocap.pose.cloud import LabelledView, merge_views
-from depthmocap.pose.estimate import estimate_joints
-from depthmocap.pose.ridge import RidgeBank
+from depthmocap.pose.estimate import JointEstimator
 
 Labels = Literal["network", "true"]
 
@@ -39,7 +38,7 @@ def _network_labels(
 
 
 def measure(
-    frames: Iterable[FrameSet], views: int, regressor: RidgeBank, classifier: Classifier | None
+    frames: Iterable[FrameSet], views: int, estimator: JointEstimator, classifier: Classifier | None
 ) -> dict[str, Any] | None:
     """Accuracy over frames that carry true labels, masks and joints; None where none does.
 
@@ -68,7 +67,7 @@ def measure(
         labelled_ms = (time.perf_counter() - start) * 1e3
         for chosen in itertools.combinations(parts, min(views, len(parts))):
             start = time.perf_counter()
-            joints, _ = estimate_joints(regressor, merge_views(list(chosen)), "z", len(chosen))
+            joints, _ = estimator(merge_views(list(chosen)), "z")
             spent_ms.append((time.perf_counter() - start) * 1e3 + labelled_ms * len(chosen) / len(parts))
             estimates.append(joints)
             truths.append(frame.true_joints)

@@ -15,7 +15,7 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.datasets.ubc3v import iterate, sections
 from depthmocap.errors import InputError
 from depthmocap.evaluate.synthetic import Labels, measure, print_numbers
-from depthmocap.pipeline import load_ridge
+from depthmocap.pose.estimate import load_estimator
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Ubc3vEvaluation:
         views: 1 evaluates every camera alone and averages, 2 every pair, 3 all.
         limit: evaluate the first so many samples only.
         weights: a classifier.onnx of your own.
-        regressor: a ridge.npz of your own.
+        estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
     """
 
     root: tyro.conf.Positional[Path]
@@ -40,7 +40,7 @@ class Ubc3vEvaluation:
     views: int = 3
     limit: int | None = None
     weights: Path | None = None
-    regressor: Path | None = None
+    estimator: str = "votes"
 
 
 def evaluate_ubc3v(settings: Ubc3vEvaluation, console: Console | None = None) -> dict[str, Any]:
@@ -52,12 +52,12 @@ def evaluate_ubc3v(settings: Ubc3vEvaluation, console: Console | None = None) ->
     console = console or Console(stderr=True)
     total = sum(1 for _ in sections(settings.root, settings.subset, settings.split))
     classifier = Classifier(settings.weights) if settings.labels == "network" else None
-    regressor = load_ridge(settings.regressor, settings.labels)
+    estimator = load_estimator(settings.estimator, settings.labels)
     frames = iterate(settings.root, settings.subset, settings.split, settings.limit)
     with Progress(console=console) as progress:
         title = f"{settings.subset}/{settings.split} ({total} sections)"
         found = measure(
-            progress.track(frames, settings.limit, description=title), settings.views, regressor, classifier
+            progress.track(frames, settings.limit, description=title), settings.views, estimator, classifier
         )
     if found is None:
         raise InputError(f"{settings.root}: no sample of {settings.subset}/{settings.split} has labels and joints")

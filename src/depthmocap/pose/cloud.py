@@ -12,6 +12,7 @@ from numpy import ndarray
 from depthmocap.body.regions import REGION_COUNT
 from depthmocap.errors import InputError
 from depthmocap.frames import View
+from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.kernels.cloud import count_labelled, unproject_labelled
 
 #: A view, its labels per pixel, and the probabilities of those labels (None: the labels are true).
@@ -23,11 +24,17 @@ _NO_WEIGHTS = np.empty((0, 0), np.float32)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LabelledCloud:
-    """World points (metres) with their regions 1–43 and the probability of each label, 1 for true labels."""
+    """World points (metres) with their regions 1–43 and the probability of each label, 1 for true labels.
+
+    Points of a camera are together: first ``view_sizes[0]`` of ``cameras[0]``, and so on. A cloud made of points alone
+    has no cameras, which the paper's features do not ask for.
+    """
 
     points_world: Float32[ndarray, "n 3"]
     labels: UInt8[ndarray, "n"]
     weights: Float32[ndarray, "n"]
+    view_sizes: tuple[int, ...] = ()
+    cameras: tuple[DepthCamera, ...] = ()
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -68,9 +75,12 @@ def merge_views(parts: Sequence[LabelledView]) -> LabelledCloud:
     points_world = np.empty((count, 3), np.float32)
     all_labels = np.empty(count, np.uint8)
     all_weights = np.empty(count, np.float32)
-    row = 0
+    row, sizes = 0, []
     for depth, labels, weights, rays, intrinsics, pose in images:
+        start = row
         row = unproject_labelled(
             depth, labels, weights, rays, intrinsics, pose, REGION_COUNT, row, points_world, all_labels, all_weights
         )
-    return LabelledCloud(points_world, all_labels, all_weights)
+        sizes.append(row - start)
+    cameras = tuple(view.camera for view, _, _ in parts)
+    return LabelledCloud(points_world, all_labels, all_weights, tuple(sizes), cameras)

@@ -1,6 +1,10 @@
-"""From a labelled cloud to joints in the world, with a confidence for each."""
+"""From a labelled cloud to joints in the world, with a confidence for each, by any of several estimators."""
 
 from __future__ import annotations
+
+import importlib.resources
+from pathlib import Path
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -8,9 +12,10 @@ from numpy import ndarray
 
 from depthmocap.body.regions import REGION, REGION_COUNT
 from depthmocap.body.skeleton import JOINTS
+from depthmocap.errors import InputError
 from depthmocap.pose.cloud import LabelledCloud
 from depthmocap.pose.features import Features, cloud_features
-from depthmocap.pose.ridge import RidgeBank, RidgePose
+from depthmocap.pose.ridge import RidgeBank
 
 #: Clouds with fewer points hold no person.
 MIN_CLOUD_POINTS = 50
@@ -64,19 +69,52 @@ def joint_confidence(features: Features) -> Float64[ndarray, "18"]:
     return np.clip(probability * np.minimum(points / FULL_POINTS, 1), GUESS, 1)
 
 
-def estimate_joints(
-    model: RidgePose | RidgeBank, cloud: LabelledCloud, up: str = "z", views: int = 1
-) -> tuple[Float64[ndarray, "18 3"], Float64[ndarray, "18"]]:
-    """Joints in the world (metres) and their confidence, from a cloud that ``views`` cameras saw.
+@runtime_checkable
+class JointEstimator(Protocol):
+    """Joints in the world (metres) and their confidence 0–1, from a cloud of any number of cameras.
 
     A cloud of fewer than ``MIN_CLOUD_POINTS`` points gives NaN joints with confidence 0.
+    """
+
+    def __call__(
+        self, cloud: LabelledCloud, up: str = "z"
+    ) -> tuple[Float64[ndarray, "18 3"], Float64[ndarray, "18"]]: ...
+
+
+class RidgeEstimator:
+    """The paper's: statistics of the regions (``features``), and ridge regression from them (``ridge``)."""
+
+    def __init__(self, bank: RidgeBank) -> None:
+        self.bank = bank
+
+    def __call__(self, cloud: LabelledCloud, up: str = "z") -> tuple[Float64[ndarray, "18 3"], Float64[ndarray, "18"]]:
+        """See :class:`JointEstimator`. The regressor is that of the number of cameras that saw something.
+
+        Raises:
+            InputError: see ``cloud_features``.
+        """
+        if len(cloud) < MIN_CLOUD_POINTS:
+            return np.full((len(JOINTS), 3), np.nan), np.zeros(len(JOINTS))
+        features = cloud_features(cloud, up, self.bank.absolute)
+        views = sum(size > 0 for size in cloud.view_sizes) or 1
+        joints = self.bank.predict(features.values[None], views)
+        return features.to_world(joints[0].astype(np.float64)), joint_confidence(features)
+
+
+def load_estimator(source: str | Path = "votes", labels: Literal["network", "true"] = "network") -> JointEstimator:
+    """An estimator by name, packaged: "votes", or "ridge" (the paper's; fitted on network or on true ``labels``); or
+    one of your own, a votes.onnx or a ridge .npz that ``depthmocap train pose`` wrote.
 
     Raises:
-        InputError: see ``cloud_features``.
+        InputError: for another name, or a file that cannot be read.
     """
-    if len(cloud) < MIN_CLOUD_POINTS:
-        return np.full((len(JOINTS), 3), np.nan), np.zeros(len(JOINTS))
-    features = cloud_features(cloud, up, model.absolute)
-    one = features.values[None]
-    joints = model.predict(one, views) if isinstance(model, RidgeBank) else model.predict(one)
-    return features.to_world(joints[0].astype(np.float64)), joint_confidence(features)
+    if source == "votes" or Path(source).suffix == ".onnx":
+        from depthmocap.pose.votes import VotesEstimator
+
+        return VotesEstimator(None if source == "votes" else Path(source))
+    if source == "ridge":
+        weights = importlib.resources.files("depthmocap.pose") / "weights"
+        return RidgeEstimator(RidgeBank.load(Path(str(weights / f"ridge_{labels}.npz"))))
+    if Path(source).suffix == ".npz":
+        return RidgeEstimator(RidgeBank.load(Path(source)))
+    raise InputError(f"--estimator takes votes, ridge, or a file (.onnx, .npz), not {str(source)!r}")

@@ -1,0 +1,64 @@
+"""Joints by votes of the regions: a small network run by ONNX Runtime; needs no torch."""
+
+from __future__ import annotations
+
+import importlib.resources
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+from numpy import ndarray
+
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.errors import InputError
+from depthmocap.geometry import z_up_from
+from depthmocap.pose.cloud import LabelledCloud
+from depthmocap.pose.estimate import MIN_CLOUD_POINTS
+from depthmocap.pose.parts import body_frame, network_inputs, part_statistics
+
+
+class VotesEstimator:
+    """Every region that a camera sees votes for every joint, in a frame that turns with the body; a network tells the
+    votes and their weights from what all cameras see. Any number of cameras, anywhere.
+
+    The confidence of a joint is the probability that it is within 10 cm of the truth, as samples kept out of the
+    training had it.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        """Load a votes.onnx written by ``depthmocap train pose``; the packaged one by default.
+
+        Raises:
+            InputError: when the file is missing or not such a network.
+        """
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1  # too small to share
+        options.log_severity_level = 3
+        source = path or Path(str(importlib.resources.files("depthmocap.pose") / "weights" / "votes.onnx"))
+        if not source.is_file():
+            raise InputError(f"{source} not found: give the votes.onnx of a training run")
+        try:
+            self._session = onnxruntime.InferenceSession(str(source), options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # the runtime's errors share no public base class
+            raise InputError(f"{source} is not a readable ONNX network: {str(error).splitlines()[0]}") from None
+        names = [node.name for node in self._session.get_inputs()], [node.name for node in self._session.get_outputs()]
+        if names != (["parts"], ["joints", "sure"]):
+            raise InputError(f"{source} is not a voting network: its inputs and outputs are {names}")
+
+    def __call__(self, cloud: LabelledCloud, up: str = "z") -> tuple[Float64[ndarray, "18 3"], Float64[ndarray, "18"]]:
+        """Joints in the world (metres) and their confidence; NaN and 0 where hardly anything was seen.
+
+        Raises:
+            InputError: see ``part_statistics``.
+        """
+        if len(cloud) < MIN_CLOUD_POINTS:
+            return np.full((len(JOINTS), 3), np.nan), np.zeros(len(JOINTS))
+        parts = part_statistics(cloud, up)
+        inputs, seen = network_inputs(parts, frame := body_frame(parts))
+        if not seen.any():
+            return np.full((len(JOINTS), 3), np.nan), np.zeros(len(JOINTS))
+        joints, sure = self._session.run(None, {"parts": inputs[None]})
+        found = frame.to_world(np.asarray(joints)[0].astype(np.float64)) @ z_up_from(up)
+        return found, 1 / (1 + np.exp(-np.asarray(sure)[0].astype(np.float64)))

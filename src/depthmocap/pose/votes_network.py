@@ -1,0 +1,97 @@
+"""The network by which regions vote for joints (extra: train). Inference runs its ONNX form, see ``votes``."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from depthmocap.body.regions import REGION_COUNT
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.pose.parts import CENTRE, COUNT, PART_COLUMNS
+
+_HIDDEN = -1e9
+#: Votes are told in units of so many metres.
+_UNIT_M = 0.3
+
+
+class _Block(nn.Module):
+    """Attention among tokens, then a layer on each; both added to what comes in."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.before, self.between = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.mix, self.out = nn.Linear(width, 3 * width), nn.Linear(width, width)
+        self.each = nn.Sequential(nn.Linear(width, 2 * width), nn.GELU(), nn.Linear(2 * width, width))
+
+    def forward(self, x: Tensor) -> Tensor:
+        n, tokens, width = x.shape
+        q, k, v = self.mix(self.before(x)).reshape(n, tokens, 3, self.heads, -1).permute(2, 0, 3, 1, 4)
+        weights = torch.softmax(q @ k.transpose(-1, -2) * (width / self.heads) ** -0.5, -1)
+        x = x + self.out((weights @ v).transpose(1, 2).reshape(n, tokens, width))
+        return x + self.each(self.between(x))
+
+
+class VotesNet(nn.Module):
+    """What cameras saw of regions to joints, all in the body's frame.
+
+    What several cameras saw of a region is weighed into one token. The tokens of the regions and one of each joint look
+    at each other; then every seen region votes for every joint, as an offset from its centre, and each joint weighs
+    the votes. Both have a part that is always the same, set from the samples' means (:meth:`start_from`), so that the
+    rest has only the differences to learn. A joint has one vote of its own, relative to the frame, for when little was
+    seen. The order of the cameras makes no difference.
+
+    ``forward`` gives joints (n, 18, 3) in metres and the logit of the probability that a joint is within 10 cm (n, 18).
+    """
+
+    def __init__(self, width: int = 128, layers: int = 3, heads: int = 4) -> None:
+        super().__init__()
+        self.sizes = (width, layers, heads)
+        self.look = nn.Linear(PART_COLUMNS, width)
+        self.region = nn.Parameter(torch.randn(REGION_COUNT, width) * 0.1)
+        self.view = nn.Sequential(nn.GELU(), nn.Linear(width, width))
+        self.trust = nn.Sequential(nn.GELU(), nn.Linear(width, 1))
+        self.unseen = nn.Parameter(torch.randn(REGION_COUNT, width) * 0.1)
+        self.joint = nn.Parameter(torch.randn(len(JOINTS), width) * 0.1)
+        self.blocks = nn.ModuleList(_Block(width, heads) for _ in range(layers))
+        self.last = nn.LayerNorm(width)
+        self.offsets = nn.Linear(width, 3 * len(JOINTS))
+        self.ask, self.answer = nn.Linear(width, width), nn.Linear(width, width)
+        self.own = nn.Linear(width, 4)
+        self.sure = nn.Linear(width, 1)
+        self.usual_offsets = nn.Parameter(torch.zeros(REGION_COUNT, len(JOINTS), 3))
+        self.usual_weights = nn.Parameter(torch.zeros(len(JOINTS), REGION_COUNT))
+        self.usual_place = nn.Parameter(torch.zeros(len(JOINTS), 3))
+
+    def start_from(self, offsets: Tensor, variances: Tensor, places: Tensor) -> None:
+        """Start as the best voter that knows nothing but means: offsets (43, 18, 3) of joints from regions, their
+        variances (43, 18), whose inverses are the weights, and the joints' mean places (18, 3), all in metres."""
+        with torch.no_grad():
+            self.usual_offsets.copy_(offsets)
+            self.usual_weights.copy_(-variances.clamp(min=1e-4).log().T)
+            self.usual_place.copy_(places)
+            for layer in (self.offsets, self.own):
+                layer.weight.mul_(0.1)
+                layer.bias.zero_()
+
+    def forward(self, parts: Tensor) -> tuple[Tensor, Tensor]:
+        # parts: (n, views, 43, 16), see parts.network_inputs; unseen rows are 0.
+        hidden = (parts[..., COUNT] == 0).unsqueeze(-1)
+        looked = self.look(parts) + self.region
+        weights = torch.softmax(self.trust(looked).masked_fill(hidden, _HIDDEN), 1)
+        centre = (weights * parts[..., CENTRE]).sum(1)
+        nobody = hidden.all(1)
+        tokens = torch.where(nobody, self.unseen, (weights * self.view(looked)).sum(1) + self.region)
+        x = torch.cat([tokens, self.joint.expand(parts.shape[0], -1, -1)], 1)
+        for block in self.blocks:
+            x = block(x)
+        regions, joints = self.last(x).split([REGION_COUNT, len(JOINTS)], 1)
+        offsets = self.usual_offsets + self.offsets(regions).unflatten(-1, (len(JOINTS), 3)) * _UNIT_M
+        votes = centre.unsqueeze(2) + offsets
+        heard = self.usual_weights + self.ask(joints) @ self.answer(regions).transpose(1, 2) * self.sizes[0] ** -0.5
+        heard = heard.masked_fill(nobody.transpose(1, 2), _HIDDEN)
+        own = self.own(joints)
+        share = torch.softmax(torch.cat([heard, own[..., 3:]], -1), -1)
+        place = self.usual_place + own[..., :3] * _UNIT_M
+        found = torch.einsum("njr,nrjc->njc", share[..., :-1], votes) + share[..., -1:] * place
+        return found, self.sure(joints).squeeze(-1)

@@ -1,0 +1,144 @@
+"""The voting network: its symmetries, its ONNX form, and what the packaged one makes of people."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from depthmocap.body.skeleton import JOINTS, MIRROR
+from depthmocap.errors import InputError
+from depthmocap.pose.cloud import LabelledCloud, merge_views
+from depthmocap.pose.estimate import load_estimator
+from depthmocap.pose.parts import MIRRORED, body_frame, network_inputs, part_statistics
+from depthmocap.pose.votes import VotesEstimator
+from depthmocap.synth.sample import Recipe, Sampler
+
+torch = pytest.importorskip("torch")
+
+from depthmocap.pose.votes_network import VotesNet  # noqa: E402
+from depthmocap.pose.votes_train import augment, export_votes  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def samples(body_model):
+    draw = Sampler(Recipe("open", "test", views=3, sensors=("kinect2",)), seed=9)
+    return [draw(i) for i in range(8)]
+
+
+def cloud_of(sample, views=3):
+    return merge_views([(view, view.labels, None) for view in sample.views[:views]])
+
+
+def parts_of(samples):
+    return np.stack([part_statistics(cloud_of(sample)) for sample in samples])
+
+
+def small_network():
+    torch.manual_seed(0)
+    return VotesNet(32, 1, 2).eval()
+
+
+def test_order_and_absence_of_cameras_make_no_difference(samples):
+    parts = parts_of(samples)
+    x = torch.from_numpy(network_inputs(parts, body_frame(parts))[0])
+    network = small_network()
+    with torch.no_grad():
+        joints, sure = network(x)
+        assert joints.shape == (8, 18, 3)
+        assert sure.shape == (8, 18)
+        padded = torch.cat([torch.zeros_like(x[:, :1]), x.flip(1)], 1)
+        for ours, theirs in zip(network(padded), (joints, sure), strict=True):
+            torch.testing.assert_close(ours, theirs, atol=1e-5, rtol=1e-5)
+
+
+def test_gradient_reaches_every_parameter(samples):
+    parts = parts_of(samples)
+    parts[:, :, 0] = 0  # a region that nobody sees, whose parameters serve too
+    network = small_network().train()
+    joints, sure = network(torch.from_numpy(network_inputs(parts, body_frame(parts))[0]))
+    (joints.square().sum() + sure.square().sum()).backward()
+    for name, parameter in network.named_parameters():
+        assert parameter.grad is not None, name
+        assert parameter.grad.abs().sum() > 0, name
+
+
+def test_onnx_gives_the_same(samples, tmp_path):
+    network = small_network()
+    estimator = VotesEstimator(export_votes(network, tmp_path / "votes.onnx"))
+    for views in (1, 3):
+        cloud = cloud_of(samples[0], views)
+        parts = part_statistics(cloud)
+        frame = body_frame(parts)
+        with torch.no_grad():
+            truth, sure = network(torch.from_numpy(network_inputs(parts, frame)[0])[None])
+        joints, confidence = estimator(cloud)
+        np.testing.assert_allclose(joints, frame.to_world(truth[0].numpy()), atol=2e-3)
+        np.testing.assert_allclose(confidence, torch.sigmoid(sure[0]).numpy(), atol=2e-3)
+
+
+def test_augmented_samples_keep_a_camera_and_mirror_joints_with_regions(samples):
+    parts = np.repeat(parts_of(samples), 40, axis=0)
+    joints = np.repeat(np.stack([sample.joints for sample in samples]).astype(np.float64), 40, axis=0)
+    rng = np.random.default_rng(0)
+    changed, moved_joints = augment(rng, parts, joints)
+    cameras = (changed[..., 0] > 0).any(-1).sum(1)
+    assert set(np.unique(cameras)) == {1, 2, 3}
+    mirrored = ~np.isclose(moved_joints, joints).all((1, 2))
+    assert 0.4 < mirrored.mean() < 0.6
+    np.testing.assert_allclose(moved_joints[mirrored], (joints * [1, -1, 1])[mirrored][:, MIRROR])
+    # A region of one side has the other one's points.
+    for i in np.flatnonzero(mirrored)[:10]:
+        view, region = np.argwhere(changed[i, :, :, 0] > 0)[0]
+        assert changed[i, view, region, 0] == parts[i, view, MIRRORED[region], 0]
+    # Regions stay with their joints, whatever was moved.
+    centre = changed[..., 4:7].sum((1, 2)) / (changed[..., 0] > 0).sum((1, 2))[:, None]
+    assert np.abs(centre - moved_joints.mean(1)).max() < 1.0
+
+
+@pytest.mark.parametrize("labels", ["true"])
+def test_packaged_network_finds_people(samples, labels):
+    votes = load_estimator("votes")
+    errors, sure = [], []
+    for sample in samples:
+        joints, confidence = votes(cloud_of(sample))
+        errors.append(np.linalg.norm(joints - sample.joints, axis=1))
+        sure.append(confidence)
+    assert np.mean(errors) < 0.06
+    assert np.mean(np.array(errors) < 0.1) > 0.85
+    assert 0.7 < np.mean(sure) <= 1
+
+
+@pytest.mark.parametrize("up", ["y", "-y"])
+def test_worlds_with_another_axis_up(samples, up):
+    """The same people in a world turned on its side."""
+    from depthmocap.geometry import z_up_from
+
+    votes, turn = load_estimator("votes"), z_up_from(up)  # z-up from theirs
+    cloud = cloud_of(samples[0])
+    cameras = []
+    for camera in cloud.cameras:
+        pose = camera.world_from_camera.copy()
+        pose[:3] = turn.T @ pose[:3]
+        cameras.append(dataclasses.replace(camera, world_from_camera=pose))
+    points = (cloud.points_world @ turn).astype(np.float32)
+    turned = dataclasses.replace(cloud, points_world=points, cameras=tuple(cameras))
+    np.testing.assert_allclose(votes(turned, up)[0] @ turn.T, votes(cloud)[0], atol=1e-3)
+
+
+def test_nobody_gives_gaps():
+    empty = LabelledCloud(np.zeros((0, 3), "f4"), np.zeros(0, "u1"), np.zeros(0, "f4"))
+    joints, confidence = load_estimator("votes")(empty)
+    assert joints.shape == (len(JOINTS), 3)
+    assert np.isnan(joints).all()
+    assert not confidence.any()
+
+
+def test_files_that_are_no_voting_network(tmp_path):
+    path = tmp_path / "votes.onnx"
+    path.write_bytes(b"nothing")
+    with pytest.raises(InputError, match="not a readable"):
+        VotesEstimator(path)
+    from depthmocap.classify.runtime import Classifier
+
+    with pytest.raises(InputError, match="not a voting network"):
+        VotesEstimator(Classifier().path)
