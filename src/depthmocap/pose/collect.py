@@ -8,7 +8,7 @@ import dataclasses
 import itertools
 import json
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 from typing import Literal
 
@@ -116,7 +116,7 @@ def collect(settings: PoseSamples, folder: Path, console: Console | None = None)
     return _read([file for file in files if file.exists()], settings)
 
 
-def _samples(settings: PoseSamples, first: int) -> Iterator[Sample]:
+def _samples(settings: PoseSamples, first: int) -> Generator[Sample, None, None]:
     if settings.data == "synth":
         recipe = Recipe(
             settings.people, "train", max(settings.views), settings.postures, vary=True,
@@ -163,7 +163,9 @@ def _measure(
         row[f"parts {labels}"] = parts
         for count, choices in chosen.items():
             features = []
-            for choice in choices if views is not None else ():
+            for choice in choices:
+                if views is None:
+                    break
                 found = cloud_features(merge_views([views[i] for i in choice]), "z", settings.absolute)
                 if np.isfinite(found.values).any():
                     features.append((found.values, found.from_world(sample.joints).astype(np.float32)))

@@ -22,7 +22,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from depthmocap.body.skeleton import MIRROR as MIRRORED_JOINTS
 from depthmocap.errors import InputError
-from depthmocap.pose.collect import Collected
+from depthmocap.pose.collect import LABELS, Collected, Labels
 from depthmocap.pose.parts import (
     CENTRE,
     COVARIANCE,
@@ -136,7 +136,8 @@ def _usual(parts: ndarray, joints: ndarray) -> tuple[torch.Tensor, torch.Tensor,
     # A region that no sample shows gets little weight.
     variance = np.where(known.any(0), variance, 1).reshape(*offsets.shape[1:]).sum(-1)
     mean = mean.reshape(offsets.shape[1:])
-    return tuple(torch.from_numpy(np.asarray(each, np.float32)) for each in (mean, variance, y.mean(0)))
+    offset, variance, place = (torch.from_numpy(np.asarray(each, np.float32)) for each in (mean, variance, y.mean(0)))
+    return offset, variance, place
 
 
 def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Path, console: Console) -> Path:
@@ -152,7 +153,7 @@ def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Pat
         raise InputError(f"--minutes must be above 0, got {settings.minutes}")
     torch.manual_seed(seed)
     rng = np.random.default_rng([seed, 11])
-    usable = [k for k in samples.parts if samples.parts[k][..., 0].any()]
+    usable: list[Labels] = [k for k in LABELS if samples.parts[k][..., 0].any()]
     sees = np.all([samples.parts[k][..., 0].any((-1, -2)) for k in usable], axis=0)
     held_out = grouped_folds(samples.groups, _VALID_FOLDS) == 0
     train, valid = np.flatnonzero(sees & ~held_out), np.flatnonzero(sees & held_out)
@@ -225,8 +226,9 @@ def export_votes(network: nn.Module, path: Path) -> Path:
         )  # fmt: skip
     assert program is not None
     program.optimize()
-    store_half(program.model_proto)
+    model = program.model_proto
+    store_half(model)
     partial = path.with_suffix(".tmp")
-    onnx.save(program.model_proto, partial)
+    onnx.save(model, partial)
     partial.replace(path)
     return path
