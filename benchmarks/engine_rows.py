@@ -19,8 +19,9 @@ from depthmocap.datasets.ubc3v import encode_depth, encode_labels, image_paths
 from depthmocap.datasets.ubc3v_write import write_images
 from depthmocap.synth.motion.postures import PosturePrior
 from depthmocap.synth.output.generate import SynthSettings, generate
-from depthmocap.synth.output.stream import draw, ordered
+from depthmocap.synth.output.stream import draw
 from depthmocap.synth.output.units import Layout
+from depthmocap.synth.output.workers import ordered
 from depthmocap.synth.people.bodies import random_phenotype
 from depthmocap.synth.render import PosedPerson
 from depthmocap.synth.sample import CameraRange, Recipe, Sampler, random_camera, see

@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Iterable
 from typing import Any, TypeVar
 
 from depthmocap.errors import InputError, missing_extra
-from depthmocap.synth.output.stream import limit_threads
+from depthmocap.synth.output.workers import limit_threads
 
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
@@ -22,7 +22,7 @@ _RETRIES = 5
 def ordered_on_ray(
     function: Callable[[_Task], _Result], tasks: Iterable[_Task], address: str
 ) -> Generator[_Result, None, None]:
-    """As :func:`depthmocap.synth.output.stream.ordered`, on the cores of a Ray cluster.
+    """As :func:`depthmocap.synth.output.workers.ordered`, on the cores of a Ray cluster.
 
     Tasks that write files need a folder that every node sees under the same path, and nodes with the same version of
     this package. For the same bytes from all nodes, their kind of processor must be one: sums may be fused otherwise.

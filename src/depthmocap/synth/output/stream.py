@@ -2,31 +2,15 @@
 
 from __future__ import annotations
 
-import collections
 import contextlib
 import functools
 import itertools
-import multiprocessing
 import os
-import signal
-import sys
-import threading
-from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing.connection import Connection
-from typing import TypeVar
-
-import cv2
+from collections.abc import Iterator
 
 from depthmocap.errors import InputError
+from depthmocap.synth.output.workers import ordered
 from depthmocap.synth.sample import Recipe, Sample, Sampler
-
-_Task = TypeVar("_Task")
-_Result = TypeVar("_Result")
-
-#: A task whose process died is given to another one, so many times in a row.
-_DEATHS = 3
 
 
 def usable_cores() -> int:
@@ -91,88 +75,3 @@ def _sampler(recipe: Recipe, seed: int) -> Sampler:
 def _draw_range(task: tuple[Recipe, int, int, int]) -> list[tuple[int, Sample]]:
     recipe, seed, start, stop = task
     return [(index, draw(recipe, seed, index)) for index in range(start, stop)]
-
-
-def ordered(
-    function: Callable[[_Task], _Result], tasks: Iterable[_Task], workers: int
-) -> Generator[_Result, None, None]:
-    """``function`` of every task, in their order, with at most two tasks a worker under way.
-
-    A task must have the same result whenever and wherever it is done: that of a process that died (killed, out of
-    memory) is done again. 0 workers do them here. Errors of the function are raised here.
-
-    Raises:
-        InputError: when processes die three times in a row.
-    """
-    if not workers:
-        yield from map(function, tasks)
-        return
-    left = iter(tasks)
-    under_way: collections.deque[tuple[_Task, Future[_Result]]] = collections.deque()
-    pool = _Pool(workers)
-    deaths = 0
-    try:
-        under_way.extend((task, pool.submit(function, task)) for task in itertools.islice(left, 2 * workers))
-        while under_way:
-            try:
-                result = under_way[0][1].result()
-                for task in itertools.islice(left, 1):
-                    under_way.append((task, pool.submit(function, task)))
-            except BrokenProcessPool:
-                deaths += 1
-                if deaths >= _DEATHS:
-                    raise InputError(
-                        f"worker processes died {deaths} times in a row: give fewer --workers if memory ran out, and "
-                        'in a program of your own start under if __name__ == "__main__":'
-                    ) from None
-                pool.close(at_once=True)
-                pool = _Pool(workers)
-                under_way = collections.deque((task, pool.submit(function, task)) for task, _ in under_way)
-                continue
-            deaths = 0
-            under_way.popleft()
-            yield result
-    finally:
-        pool.close(at_once=bool(under_way))
-
-
-class _Pool:
-    """Processes that end with this one, however it ends: each watches a pipe whose other end only this one holds."""
-
-    def __init__(self, workers: int) -> None:
-        context = multiprocessing.get_context("spawn")  # threads and a lock of ours do not survive a fork
-        self._theirs, self._ours = context.Pipe(duplex=False)
-        self._pool = ProcessPoolExecutor(workers, context, initializer=_start_worker, initargs=(self._theirs,))
-
-    def submit(self, function: Callable[[_Task], _Result], task: _Task) -> Future[_Result]:
-        return self._pool.submit(function, task)
-
-    def close(self, at_once: bool) -> None:
-        """End the processes, after their tasks unless ``at_once``."""
-        if at_once:
-            self._ours.close()
-        self._pool.shutdown(wait=True, cancel_futures=True)
-        self._ours.close()
-        self._theirs.close()
-
-
-def _start_worker(parent: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; the parent decides
-    limit_threads()
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-
-
-def _end_with(parent: Connection) -> None:
-    with contextlib.suppress(EOFError, OSError):
-        parent.recv_bytes()
-    os._exit(1)
-
-
-def limit_threads() -> None:
-    """One thread a process: there are as many processes as cores."""
-    os.environ["OMP_NUM_THREADS"] = "1"  # torch reads it when it is loaded
-    cv2.setNumThreads(1)
-    if "torch" in sys.modules:
-        import torch
-
-        torch.set_num_threads(1)
