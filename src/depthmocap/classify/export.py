@@ -9,16 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from torch import nn
+
+from depthmocap.classify.networks import Network
 
 if TYPE_CHECKING:
     import onnx
 
-from depthmocap.classify.preprocess import WINDOW
 
+def export_onnx(network: Network, path: Path, metadata: dict[str, str]) -> Path:
+    """Write ``network`` as ONNX: input ``windows`` (n, *its input_shape*), output ``logits``, those of its forward.
 
-def export_onnx(network: nn.Module, path: Path, metadata: dict[str, str]) -> Path:
-    """Write ``network`` as ONNX: input ``windows`` (n, 3, s, s), output ``logits`` (n, 4·44, s/2, s/2).
+    ``metadata`` must hold the network's name as ``network``, by which :class:`~depthmocap.classify.runtime.Classifier`
+    knows how its windows are made.
 
     Batch norms are folded into the convolutions. Large weights are stored as fp16 behind a cast, which the runtime
     folds away when it loads the file: half the size, fp32 arithmetic.
@@ -27,7 +29,7 @@ def export_onnx(network: nn.Module, path: Path, metadata: dict[str, str]) -> Pat
     from onnx import helper
 
     network = copy.deepcopy(network).cpu().eval()
-    example = torch.zeros(2, 3, WINDOW, WINDOW)
+    example = torch.zeros(2, *network.input_shape)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         program = torch.onnx.export(

@@ -6,6 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from depthmocap.body.regions import REGION_COUNT
+from depthmocap.classify.paper import PaperNet
+from depthmocap.classify.preprocess import WINDOW
 
 CLASSES = REGION_COUNT + 1
 
@@ -34,6 +36,10 @@ class FastNet(nn.Module):
     ``forward`` gives the head's logits, ``(n, 4·44, s/2, s/2)``: channel ``44·k + c`` is class ``c`` of the pixel
     at row ``k // 2``, column ``k % 2`` of each 2×2 group.
     """
+
+    input_shape = (3, WINDOW, WINDOW)
+    #: Only the person's pixels are learnt.
+    learns_background = False
 
     def __init__(self, widths: tuple[int, ...] = (24, 48, 88, 136, 160), depths: tuple[int, ...] = (0, 1, 1, 2, 2)):
         super().__init__()
@@ -66,18 +72,23 @@ class FastNet(nn.Module):
         return x
 
 
-NETWORKS = {"fast": FastNet}
+Network = FastNet | PaperNet
+NETWORKS: dict[str, type[FastNet] | type[PaperNet]] = {"fast": FastNet, "paper": PaperNet}
 
 
-def masked_logits(network: FastNet, x: Tensor, labels: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
-    """Logits (m, 44) and labels (m,) of the masked pixels alone: a person fills a sixth of a window, and the head's
-    output for the rest is never made.
+def masked_logits(network: Network, x: Tensor, labels: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """Logits (m, 44) and labels (m,) of the masked pixels alone.
+
+    Ours never makes its head's output for the rest: a person fills a sixth of a window. The paper's last layer covers
+    19×19 pixels and makes them all.
 
     Args:
-        x: (n, 3, s, s) windows.
+        x: (n, c, s, s) windows.
         labels: (n, s, s) integers.
         mask: (n, s, s) bool.
     """
+    if isinstance(network, PaperNet):
+        return network(x).permute(0, 2, 3, 1)[mask], labels[mask]
     features = network.features(x).permute(0, 2, 3, 1).flatten(0, 2)
     mask4 = nn.functional.pixel_unshuffle(mask[:, None].to(torch.uint8), 2).permute(0, 2, 3, 1).reshape(-1, 4)
     labels4 = nn.functional.pixel_unshuffle(labels[:, None], 2).permute(0, 2, 3, 1).reshape(-1, 4)

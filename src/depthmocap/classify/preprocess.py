@@ -1,17 +1,21 @@
 """From a masked depth image to the network's square window, and from the window's labels back.
 
 As in the paper (Sec. IV-A) the person's bounding box is scaled to a fixed size and the depth shifted to a fixed mean.
-The window is tighter (180 of 192 pixels instead of 190 of 250: the same person, fewer empty pixels), depth stays in
-metres around the person's median instead of 8-bit levels, and the scale of a pixel is told to the network.
+Our window is tighter (180 of 192 pixels instead of 190 of 250: the same person, fewer empty pixels), depth stays in
+metres around the person's median instead of 8-bit levels, and the scale of a pixel is told to the network. The paper's
+own window is made for its network.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
+from PIL import Image
 
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.kernels.window import gather, gather_labels, scatter, supported
@@ -25,15 +29,22 @@ PIXEL_M = 0.01
 #: A pixel belongs to a surface if so many of its neighbours are within this of it; others fly at a silhouette, and a
 #: few of them, far from the body, would confuse the network about all of it.
 NEIGHBOURS, NEAR_M, NEAR_PER_M = 2, 0.03, 0.01
+#: The paper's window, and the person's bounding box in it (pixels).
+PAPER_WINDOW, PAPER_PERSON = 250, 190
+#: Its depth has 255 levels between these (cm); the person's mean is shifted to this level, and background is 255.
+PAPER_RANGE_CM, PAPER_MEAN, _PAPER_FAR = (50.0, 800.0), 55.0, 255.0
+#: Least share of a resampled pixel that must be of the person's own pixels.
+_LEAST_WEIGHT = 0.25
 #: Masks with fewer pixels than this hold no person.
 MIN_PIXELS = 40
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Window:
-    """``inputs`` (3, 192, 192): relative depth, mask, log2 of the pixel size; and where the window lies."""
+    """What a network reads, of which channel 1 is always the mask, and where it lies: window pixel (i, j) shows the
+    picture at ``(top + (i + 0.5)·step, left + (j + 0.5)·step)``, rounded down."""
 
-    inputs: Float[ndarray, "3 s s"]
+    inputs: Float[ndarray, "c s s"]
     left: float
     top: float
     step: float
@@ -55,7 +66,8 @@ class Window:
 
 
 def make_window(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], camera: DepthCamera) -> Window | None:
-    """The person's window, or None where the mask holds nobody.
+    """The person's window, or None where the mask holds nobody: ``inputs`` (3, 192, 192) are relative depth, mask and
+    log2 of the pixel size.
 
     Args:
         depth_m: metres along z.
@@ -82,3 +94,64 @@ def make_window(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], came
     gather(depth_m, solid, x0, y0, step, centre_m, DEPTH_SCALE_M, inputs)
     inputs[2] = np.log2(centre_m * step / camera.fx / PIXEL_M)
     return Window(inputs, float(x0), float(y0), float(step))
+
+
+def make_paper_window(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], camera: DepthCamera) -> Window | None:
+    """The paper's window of a person, or None where the mask holds nobody: ``inputs`` (2, 250, 250) are the level of
+    depth divided by 255, which is 1 around the person, and the mask.
+
+    Depth is resampled by Lanczos's kernel among the person's own pixels, so that none is mixed with what is behind.
+    Pixels that stray are not left out, as the paper knows none.
+
+    Args:
+        depth_m: metres along z.
+        mask: the person's pixels; those without depth are left out.
+    """
+    mask = mask & (depth_m > 0) & np.isfinite(depth_m)
+    if np.count_nonzero(mask) < MIN_PIXELS:
+        return None
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    top, left = rows[0], columns[0]
+    box = slice(top, rows[-1] + 1), slice(left, columns[-1] + 1)
+    height, width = mask[box].shape
+    side = max(height, width)
+    down, across = (side - height) // 2, (side - width) // 2
+    near_cm, far_cm = PAPER_RANGE_CM
+    levels = np.zeros(mask.shape, np.uint8)
+    depth_cm = np.where(mask[box], depth_m[box], 0) * 100
+    levels[box] = np.rint(np.clip((depth_cm - near_cm) / (far_cm - near_cm), 0, 1) * 255)
+    square = np.zeros((2, side, side), np.float32)
+    middle = slice(down, down + height), slice(across, across + width)
+    square[0][middle] = levels[box]
+    square[1][middle] = mask[box]
+    total, weight = (_lanczos(each) for each in square)
+
+    step = side / PAPER_PERSON
+    margin = (PAPER_WINDOW - PAPER_PERSON) // 2
+    window = Window(
+        np.zeros((2, PAPER_WINDOW, PAPER_WINDOW), np.float32),
+        float(left - across - margin * step), float(top - down - margin * step), float(step),
+    )  # fmt: skip
+    inner = slice(margin, margin + PAPER_PERSON), slice(margin, margin + PAPER_PERSON)
+    person = window.labels_from_image(mask.view(np.uint8))[inner] > 0
+    if not person.any():  # pixels strewn so wide that the window shows none
+        return None
+    # Where the kernel finds little but its negative lobes, as on a finger a pixel wide, the nearest pixel serves.
+    nearest = window.labels_from_image(levels)[inner]
+    level = np.where(weight > _LEAST_WEIGHT, total / np.maximum(weight, _LEAST_WEIGHT), nearest)[person]
+    level += PAPER_MEAN - level.mean()
+    window.inputs[0] = 1.0
+    window.inputs[0][inner][person] = np.clip(level, 0, _PAPER_FAR - 1) / _PAPER_FAR
+    window.inputs[1][inner] = person
+    return window
+
+
+def _lanczos(square: Float[ndarray, "s s"]) -> Float[ndarray, "190 190"]:
+    image = Image.fromarray(square).resize((PAPER_PERSON, PAPER_PERSON), Image.Resampling.LANCZOS)
+    return np.asarray(image, dtype=np.float32)
+
+
+NetworkName = Literal["fast", "paper"]
+WindowMaker = Callable[[ndarray, ndarray, DepthCamera], Window | None]
+#: How the window of each network is made.
+WINDOW_MAKERS: dict[NetworkName, WindowMaker] = {"fast": make_window, "paper": make_paper_window}

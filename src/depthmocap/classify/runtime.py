@@ -11,25 +11,36 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
-from depthmocap.classify.preprocess import Window, make_window
+from depthmocap.classify.preprocess import WINDOW_MAKERS, Window, WindowMaker
 from depthmocap.errors import InputError
 from depthmocap.frames import View
+from depthmocap.kernels.dense_head import label_dense_pixels
 from depthmocap.kernels.head import label_pixels
+
+#: How labels are read from each network's output.
+_READERS = {"fast": label_pixels, "paper": label_dense_pixels}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LabelledMask:
     """Regions 0–43 and their probabilities at a view's masked pixels, 0 elsewhere; the window (None where nobody was
-    found) and its own labels."""
+    found) and its own labels and probabilities."""
 
     labels: UInt8[ndarray, "h w"]
     confidence: Float[ndarray, "h w"]
     window: Window | None
     window_labels: UInt8[ndarray, "_ _"]
+    window_confidence: Float[ndarray, "_ _"]
 
 
 class Classifier:
-    """A trained body-part classifier: depth in, region and probability of every pixel out (paper, Sec. IV-A)."""
+    """A trained body-part classifier: depth in, region and probability of every pixel out (paper, Sec. IV-A).
+
+    Attributes:
+        path: of its file.
+        network: its name, "fast" or "paper", which the file tells; windows are made as that network wants them.
+        make_window: makes them.
+    """
 
     def __init__(self, path: Path | None = None, threads: int | None = None) -> None:
         """Load an ONNX file written by ``depthmocap train classifier``; the packaged one by default.
@@ -56,7 +67,15 @@ class Classifier:
         names = [node.name for node in self._session.get_inputs()], [node.name for node in self._session.get_outputs()]
         if names != (["windows"], ["logits"]):
             raise InputError(f"{source} is not a depthmocap classifier: its inputs and outputs are {names}")
-        self.path = source
+        name = self._session.get_modelmeta().custom_metadata_map.get("network", "fast")
+        if name not in WINDOW_MAKERS:
+            raise InputError(
+                f"{source} holds a network {name!r}, and this version knows {', '.join(WINDOW_MAKERS)}: "
+                "update depthmocap, or train the classifier anew"
+            )
+        self.path, self.network = source, name
+        self.make_window: WindowMaker = WINDOW_MAKERS[name]
+        self._read = _READERS[name]
 
     def label_windows(self, windows: Sequence[Window]) -> list[tuple[UInt8[ndarray, "s s"], Float[ndarray, "s s"]]]:
         """Labels and confidences of windows, 0 where a window has no person, all views in one call."""
@@ -67,21 +86,21 @@ class Classifier:
         for window, output in zip(windows, np.asarray(logits), strict=True):
             mask = window.inputs[1] > 0
             labels, confidence = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
-            label_pixels(output, mask, labels, confidence)
+            self._read(output, mask, labels, confidence)
             results.append((labels, confidence))
         return results
 
     def label_masks(self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]) -> Iterator[LabelledMask]:
         """Labels of every masked pixel of every view, in order, and the windows they come from; one network call."""
-        windows = [make_window(view.depth_m, mask, view.camera) for view, mask in zip(views, masks, strict=True)]
+        windows = [self.make_window(view.depth_m, mask, view.camera) for view, mask in zip(views, masks, strict=True)]
         found = iter(self.label_windows([window for window in windows if window is not None]))
         for window, mask in zip(windows, masks, strict=True):
             if window is None:
-                empty = np.zeros((0, 0), np.uint8)
-                yield LabelledMask(np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32), None, empty)
+                labels, confidence = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
+                yield LabelledMask(labels, confidence, None, labels[:0], confidence[:0])
             else:
                 labels, confidence = next(found)
-                yield LabelledMask(*window.labels_to_image(labels, confidence, mask), window, labels)
+                yield LabelledMask(*window.labels_to_image(labels, confidence, mask), window, labels, confidence)
 
     def label_views(
         self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]

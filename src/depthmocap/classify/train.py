@@ -22,7 +22,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from depthmocap.body.regions import UNLABELLED
 from depthmocap.classify.data import Spoiling, training_window
 from depthmocap.classify.export import export_onnx
-from depthmocap.classify.networks import NETWORKS, FastNet, masked_logits
+from depthmocap.classify.networks import NETWORKS, Network, masked_logits
 from depthmocap.classify.preprocess import make_window
 from depthmocap.errors import InputError
 from depthmocap.evaluate.metrics import PixelAccuracy
@@ -151,7 +151,7 @@ def _validation(settings: ClassifierTraining) -> tuple[Tensor, Tensor]:
     )
 
 
-def evaluate_windows(network: FastNet, inputs: Tensor, labels: Tensor, device: str = "cpu") -> PixelAccuracy:
+def evaluate_windows(network: Network, inputs: Tensor, labels: Tensor, device: str = "cpu") -> PixelAccuracy:
     """Accuracy over windows (n, 3, s, s) and labels (n, s, s) uint8, on the person's labelled pixels."""
     network.eval()
     accuracy = PixelAccuracy()
