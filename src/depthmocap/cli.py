@@ -47,6 +47,10 @@ _COMMANDS = (
              "accuracy on UBC3V or a set of its layout"),
     _Command("evaluate bench", "depthmocap.evaluate.bench", "BenchEvaluation", "evaluate_bench",
              "accuracy on the project's own test sets, made anew", "train"),
+    _Command("evaluate itop", "depthmocap.evaluate.itop", "ItopEvaluation", "evaluate_itop",
+             "accuracy on ITOP, after a refit to its joints"),
+    _Command("evaluate mhad", "depthmocap.evaluate.mhad", "MhadEvaluation", "evaluate_mhad",
+             "accuracy on Berkeley MHAD, every person by a fit to the others"),
     _Command("evaluate labels2d", "depthmocap.evaluate.labels2d", "Labels2dEvaluation", "evaluate_labels2d",
              "labels of real depth against joints found in colour"),
 )  # fmt: skip

@@ -33,24 +33,36 @@ class AnnotatedFrame:
 
 @runtime_checkable
 class AnnotatedSet(Protocol):
-    """A data set, or a part of one; frames are read from disk as they are asked for.
-
-    Attributes:
-        name: as shown in tables.
-        joints: names of the joints, as the set has them.
-        ours: for some of these names, the joint of ``body.skeleton.JOINTS`` that is nearest to it in the body.
-        up: the world's up axis: "z", "y" or "-y".
-        fps: frames a second; None where frames do not follow each other.
-        problems: what could not be read so far, one line each; frames are checked as they are read.
-    """
-
-    name: str
-    joints: tuple[str, ...]
-    ours: Mapping[str, str]
-    up: str
-    fps: float | None
+    """A data set, or a part of one; frames are read from disk as they are asked for."""
 
     @property
-    def problems(self) -> list[str]: ...
+    def name(self) -> str:
+        """As shown in tables."""
+        ...
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints, as the set has them."""
+        ...
+
+    @property
+    def ours(self) -> Mapping[str, str]:
+        """For some of these names, the joint of ``body.skeleton.JOINTS`` that is nearest to it in the body."""
+        ...
+
+    @property
+    def up(self) -> str:
+        """The world's up axis: "z", "y" or "-y"."""
+        ...
+
+    @property
+    def fps(self) -> float | None:
+        """Frames a second; None where frames do not follow each other."""
+        ...
+
+    @property
+    def problems(self) -> list[str]:
+        """What could not be read so far, one line each; frames are checked as they are read."""
+        ...
 
     def __iter__(self) -> Iterator[AnnotatedFrame]: ...

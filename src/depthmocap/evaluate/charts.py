@@ -15,7 +15,7 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 from numpy import ndarray
 
 from depthmocap.body.regions import REGION_NAMES
-from depthmocap.evaluate.metrics import CURVE_THRESHOLDS_CM, JointMetrics
+from depthmocap.evaluate.metrics import CURVE_THRESHOLDS_CM, JointMetrics, Reliability
 
 _INK, _SOFT, _GRID = "#2a2f35", "#6b737c", "#e4e5e2"
 _COLOURS = ("#c4452f", "#2f6fb5", "#3f8f5b", "#8a5bb0", "#b8862b", "#4d5661")
@@ -81,6 +81,24 @@ def precision_curve(metrics: Mapping[str, JointMetrics]) -> bytes:
     axes.set_ylim(0, 101)
     _label(axes, "distance (cm)", "joints within it (%)")
     if any(metrics):
+        _legend(axes)
+    return _png(figure)
+
+
+def reliability_diagram(found: Mapping[str, Reliability]) -> bytes:
+    """Share of the joints within 10 cm against their confidence, a line per label; marks grow with the joints in a
+    bin."""
+    figure, (axes,) = _figure(4.6, 4.2)
+    axes.plot([0, 100], [0, 100], color=_SOFT, linewidth=0.8, linestyle=(0, (4, 3)))
+    for i, (label, each) in enumerate(found.items()):
+        x, y, joints = np.array(each.confidence) * 100, np.array(each.within_10cm) * 100, np.array(each.joints)
+        name = f"{label}: off by {each.calibration_error:.1%}" if joints.size else label
+        axes.plot(x, y, color=_COLOURS[i % 6], linewidth=1.4, label=name)
+        axes.scatter(x, y, s=12 + 120 * np.sqrt(joints / max(joints.sum(), 1)), color=_COLOURS[i % 6])
+    axes.set_xlim(0, 101)
+    axes.set_ylim(0, 101)
+    _label(axes, "confidence (%)", "joints within 10 cm (%)")
+    if found:
         _legend(axes)
     return _png(figure)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int, Integer
@@ -14,9 +15,11 @@ from depthmocap.errors import InputError
 
 #: Thresholds (cm) of the precision curve.
 CURVE_THRESHOLDS_CM: tuple[int, ...] = tuple(range(31))
+#: Bins of confidence in which it is compared with what came true.
+CONFIDENCE_BINS = 10
 
 
-def joint_errors_cm(estimates: Float[ndarray, "t 18 3"], truths: Float[ndarray, "t 18 3"]) -> Float[ndarray, "t 18"]:
+def joint_errors_cm(estimates: Float[ndarray, "t j 3"], truths: Float[ndarray, "t j 3"]) -> Float[ndarray, "t j"]:
     """Distances (cm) between estimated and true joints (m), of the same frame and joint; NaN where either is NaN."""
     return np.linalg.norm(estimates.astype(np.float64) - truths, axis=-1) * 100
 
@@ -38,26 +41,40 @@ class JointMetrics:
     #: By joint name.
     per_joint_error_cm: dict[str, float]
     per_joint_deviation_cm: dict[str, float]
+    per_joint_within_10cm: dict[str, float]
     within_10cm: float
     #: Share within each of CURVE_THRESHOLDS_CM.
     curve: tuple[float, ...]
 
+    @property
+    def mean_ap_10cm(self) -> float:
+        """Mean over the joints of the share within 10 cm: every joint counts the same, however often it has a truth."""
+        shares = np.array(list(self.per_joint_within_10cm.values()))
+        return float(shares[~np.isnan(shares)].mean()) if (~np.isnan(shares)).any() else float("nan")
 
-def joint_metrics(estimates: Float[ndarray, "t 18 3"], truths: Float[ndarray, "t 18 3"]) -> JointMetrics:
-    """Summarise the errors of estimated joints (m, NaN where there is none) against true ones (m, NaN if unknown)."""
+
+def joint_metrics(
+    estimates: Float[ndarray, "t j 3"], truths: Float[ndarray, "t j 3"], joints: Sequence[str] = JOINTS
+) -> JointMetrics:
+    """Summarise the errors of estimated joints (m, NaN where there is none) against true ones (m, NaN if unknown).
+
+    Args:
+        joints: their names.
+    """
     errors_cm = joint_errors_cm(estimates, truths)
-    observed = ~np.isnan(truths).any(-1)
+    observed = np.asarray(~np.isnan(truths).any(-1))
     missing = observed & np.isnan(errors_cm)
 
-    def share_within(threshold_cm: int) -> float:
-        return float((errors_cm <= threshold_cm).sum() / observed.sum()) if observed.any() else float("nan")
+    def share_within(threshold_cm: int, which: int | slice = slice(None)) -> float:
+        of = observed[:, which].sum()
+        return float((errors_cm[:, which] <= threshold_cm).sum() / of) if of else float("nan")
 
     def mean_and_deviation(values: Float[ndarray, "*n"]) -> tuple[float, float]:
         values = values[~np.isnan(values)]
         return (float(values.mean()), float(values.std())) if values.size else (float("nan"), float("nan"))
 
     mean, deviation = mean_and_deviation(errors_cm)
-    by_joint = {joint: mean_and_deviation(errors_cm[:, i]) for i, joint in enumerate(JOINTS)}
+    by_joint = {joint: mean_and_deviation(errors_cm[:, i]) for i, joint in enumerate(joints)}
     return JointMetrics(
         frames=len(errors_cm),
         observed=int(observed.sum()),
@@ -66,9 +83,39 @@ def joint_metrics(estimates: Float[ndarray, "t 18 3"], truths: Float[ndarray, "t
         deviation_cm=deviation,
         per_joint_error_cm={joint: numbers[0] for joint, numbers in by_joint.items()},
         per_joint_deviation_cm={joint: numbers[1] for joint, numbers in by_joint.items()},
+        per_joint_within_10cm={joint: share_within(10, i) for i, joint in enumerate(joints)},
         within_10cm=share_within(10),
         curve=tuple(share_within(threshold) for threshold in CURVE_THRESHOLDS_CM),
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class Reliability:
+    """Confidence against what came true: joints in bins of confidence, lowest first, without the empty ones.
+
+    Attributes:
+        confidence: mean of each bin.
+        within_10cm: share (0–1) of its joints within 10 cm of the truth; a calibrated confidence equals it.
+        joints: how many it holds.
+        calibration_error: mean distance of the two over all joints; NaN without any.
+    """
+
+    confidence: tuple[float, ...]
+    within_10cm: tuple[float, ...]
+    joints: tuple[int, ...]
+    calibration_error: float
+
+
+def reliability(confidence: Float[ndarray, "t j"], errors_cm: Float[ndarray, "t j"]) -> Reliability:
+    """Bins of the joints that have a confidence and an error; both NaN where unknown."""
+    known = ~(np.isnan(confidence) | np.isnan(errors_cm))
+    sure, right = confidence[known].astype(np.float64), errors_cm[known] <= 10
+    bins = np.minimum((sure * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
+    count, sums, hits = (np.bincount(bins, each, CONFIDENCE_BINS) for each in (None, sure, right))
+    some = count > 0
+    means, shares = sums[some] / count[some], hits[some] / count[some]
+    off = float((np.abs(means - shares) * count[some]).sum() / count.sum()) if some.any() else float("nan")
+    return Reliability(tuple(means.tolist()), tuple(shares.tolist()), tuple(count[some].astype(int).tolist()), off)
 
 
 def _empty_confusion() -> Int[ndarray, "44 44"]:

@@ -1,0 +1,190 @@
+"""Reader of ITOP (Haque et al. 2016): one person before a depth camera at the side or above, 15 joints.
+
+A part of the set is two HDF5 files of a folder, matched by the ids of their frames (``PP_FFFFF``: person, frame)::
+
+    ITOP_<side|top>_<train|test>_depth_map.h5    data (n, 240, 320) metres; id (n)
+    ITOP_<side|top>_<train|test>_labels.h5       id, is_valid (n); real_world_coordinates (n, 15, 3) metres;
+                                                 segmentation (n, 240, 320), negative outside the person
+
+Its coordinates are x right, y up, z forward: ``x = (u - 160) z 0.0035``, ``y = (120 - v) z 0.0035``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from depthmocap.datasets.annotated import AnnotatedFrame
+from depthmocap.errors import InputError, missing_extra
+from depthmocap.frames import View
+from depthmocap.geometry import DepthCamera, transform_points
+
+Side = Literal["side", "top"]
+Split = Literal["train", "test"]
+
+JOINTS: tuple[str, ...] = (
+    "Head", "Neck", "RShoulder", "LShoulder", "RElbow", "LElbow", "RHand", "LHand", "Torso",
+    "RHip", "LHip", "RKnee", "LKnee", "RFoot", "LFoot",
+)  # fmt: skip
+#: Our joint for each of them.
+OURS: dict[str, str] = {joint: "Spine1" if joint == "Torso" else joint for joint in JOINTS}
+#: The parts that are reported apart.
+PARTS: dict[str, tuple[str, ...]] = {"upper body": JOINTS[:8], "lower body": JOINTS[8:]}
+
+WIDTH, HEIGHT = 320, 240
+_FOCAL = 1 / 0.0035
+#: Frames a second of the videos that frames were taken from.
+FPS = 30.0
+#: From ITOP's axes to the camera's: y is down.
+_CAMERA_FROM_ITOP = np.diag([1.0, -1.0, 1.0, 1.0])
+#: A camera above looks down; one at the side is taken as level. Columns: the camera's axes in the world.
+_WORLD_FROM_CAMERA = {"top": np.diag([1.0, -1.0, -1.0, 1.0]), "side": np.eye(4)}
+_UP = {"top": "z", "side": "-y"}
+
+
+def camera(view: Side) -> DepthCamera:
+    """The camera, in a world that is its own frame for the side, and turned Z-up for the top."""
+    return DepthCamera(view, WIDTH, HEIGHT, _FOCAL, _FOCAL, WIDTH / 2, HEIGHT / 2, _WORLD_FROM_CAMERA[view])
+
+
+class Itop:
+    """The valid frames of one view and split; see ``AnnotatedSet``. Others have no joints that were checked by hand.
+
+    The person's mask is the set's segmentation. Frames are read from disk as they are asked for.
+    """
+
+    def __init__(self, root: Path, view: Side = "side", split: Split = "test") -> None:
+        """Open the files and match their frames.
+
+        Raises:
+            InputError: when a file is missing, cut short, or not of this layout, or no frame is valid.
+        """
+        self.name = f"ITOP {view} {split}"
+        self.joints, self.ours = JOINTS, OURS
+        self.up, self.fps = _UP[view], FPS
+        self._camera = camera(view)
+        # Ordered sets: reading a frame twice reports it once.
+        self._problems: dict[str, None] = {}
+        self._empty: dict[str, None] = {}
+        base = Path(root) / f"ITOP_{view}_{split}"
+        self._depth_path, self._labels_path = (
+            base.with_name(f"{base.name}_{kind}.h5") for kind in ("depth_map", "labels")
+        )
+        self._depth_file, self._labels_file = _open(self._depth_path), _open(self._labels_path)
+        self._depth = _dataset(self._depth_file, self._depth_path, "data", (HEIGHT, WIDTH))
+        self._segmentation = _dataset(self._labels_file, self._labels_path, "segmentation", (HEIGHT, WIDTH))
+        joints = _dataset(self._labels_file, self._labels_path, "real_world_coordinates", (len(JOINTS), 3))
+        self._joints = _read(self._labels_path, joints, slice(None)).astype(np.float64)
+        valid = _read(self._labels_path, _dataset(self._labels_file, self._labels_path, "is_valid", ()), slice(None))
+        self._frames = self._match(np.asarray(valid) > 0)
+        if not self._frames:
+            raise InputError(
+                f"{self._labels_path}: no frame is valid and has a depth map of its id in {self._depth_path.name}: "
+                "are both of the same download?"
+            )
+
+    @property
+    def problems(self) -> list[str]:
+        """What could not be read so far, one line each."""
+        if not self._empty:
+            return list(self._problems)
+        what = f"{self._labels_path}: {len(self._empty)} frames have no pixel of the person, such as"
+        return [*self._problems, f"{what} {next(iter(self._empty))}: their joints count as not found"]
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def __iter__(self) -> Iterator[AnnotatedFrame]:
+        for frame in self._frames:
+            try:
+                views = (self._view(frame),)
+            except InputError as error:
+                self._problems[str(error)] = None
+                views = ()
+            yield AnnotatedFrame(views, self._joints_world(frame.label_row), frame.person, "", frame.number)
+
+    def _view(self, frame: _Frame) -> View:
+        depth_m = _read(self._depth_path, self._depth, frame.depth_row).astype(np.float32)
+        mask = _read(self._labels_path, self._segmentation, frame.label_row).astype(np.int8) >= 0
+        depth_m = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.float32(0))
+        if not (mask & (depth_m > 0)).any():
+            self._empty[frame.id] = None
+        return View(self._camera, depth_m, mask)
+
+    def _joints_world(self, row: int) -> Float[ndarray, "15 3"]:
+        joints = self._joints[row]
+        # A joint at the camera itself is one that was not marked.
+        joints = np.where((np.abs(joints) > 0).any(1, keepdims=True), joints, np.nan)
+        return transform_points(self._camera.world_from_camera @ _CAMERA_FROM_ITOP, joints)
+
+    def _match(self, valid: ndarray) -> list[_Frame]:
+        """Valid frames whose depth map is there, by id."""
+        depth_rows = {name: row for row, name in enumerate(_ids(self._depth_file, self._depth_path))}
+        label_ids = _ids(self._labels_file, self._labels_path)
+        if not len(label_ids) == len(valid) == len(self._joints):
+            raise InputError(f"{self._labels_path}: id, is_valid and real_world_coordinates differ in length")
+        wanted = [(row, name) for row, name in enumerate(label_ids) if valid[row]]
+        absent = [name for _, name in wanted if name not in depth_rows]
+        if absent:
+            self._problems[
+                f"{self._depth_path} lacks {len(absent)} of {len(wanted)} valid frames of {self._labels_path.name}, "
+                f"such as {absent[0]}: they are left out"
+            ] = None
+        frames = []
+        for row, name in wanted:
+            person, _, number = name.partition("_")
+            if name in depth_rows and number.isdecimal():
+                frames.append(_Frame(name, person, int(number), depth_rows[name], row))
+        return frames
+
+
+@dataclasses.dataclass(frozen=True)
+class _Frame:
+    id: str
+    person: str
+    number: int
+    depth_row: int
+    label_row: int
+
+
+def _open(path: Path) -> Any:
+    try:
+        import h5py
+    except ModuleNotFoundError:
+        raise missing_extra("h5py", "datasets") from None
+    packed = path.with_name(path.name + ".gz")
+    if not path.is_file():
+        fix = f"unpack it: gunzip {packed}" if packed.is_file() else "the folder must hold ITOP's unpacked .h5 files"
+        raise InputError(f"{path} not found: {fix}")
+    try:
+        return h5py.File(path, "r")
+    except OSError as error:
+        reason = str(error).split("(", 1)[-1].rstrip(")")
+        raise InputError(f"{path} is not a complete HDF5 file ({reason}): download and unpack it again") from None
+
+
+def _dataset(file: Any, path: Path, name: str, shape: tuple[int, ...]) -> Any:
+    data = file.get(name)
+    if data is None or data.ndim != 1 + len(shape) or data.shape[1:] != shape:
+        found = "is missing" if data is None else f"is {data.shape}"
+        wanted = ", ".join(map(str, ("n", *shape)))
+        raise InputError(f"{path}: the data set {name!r} {found}, expected ({wanted})")
+    return data
+
+
+def _read(path: Path, data: Any, rows: int | slice) -> Any:
+    try:
+        return data[rows]
+    except OSError as error:
+        raise InputError(f"{path}: {data.name} cannot be read at {rows} ({error}): download it again") from None
+
+
+def _ids(file: Any, path: Path) -> list[str]:
+    ids: Mapping[int, Any] = _read(path, _dataset(file, path, "id", ()), slice(None))
+    return [name.decode("ascii", "replace") if isinstance(name, bytes) else str(name) for name in ids]

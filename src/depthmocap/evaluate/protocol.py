@@ -1,0 +1,124 @@
+"""The protocols of the field on sets of real people: who is fitted on whom, and what is measured.
+
+As in the paper only the pose stage is fitted to a set's joints (see ``refit``), never the network.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float, Shaped
+from numpy import ndarray
+
+from depthmocap.errors import InputError
+from depthmocap.evaluate.metrics import JointMetrics, Reliability, joint_errors_cm, joint_metrics, reliability
+from depthmocap.evaluate.observe import Observations
+from depthmocap.evaluate.refit import fit_joints
+
+#: "ridge" fits the set's joints; "none" takes ours where they correspond.
+Refit = Literal["ridge", "none"]
+
+
+def comparable(observed: Observations, refit: Refit) -> Observations:
+    """The joints that can be estimated: without a fit only those that correspond to one of ours.
+
+    Raises:
+        InputError: when there is none.
+    """
+    joints = tuple(joint for joint in observed.joints if refit != "none" or joint in observed.ours)
+    if not joints:
+        raise InputError(f"{observed.name}: none of its joints is known to be one of ours; pass --refit ridge")
+    return observed.only(joints)
+
+
+def leave_one_out(
+    observed: Observations, groups: Shaped[ndarray, "n"], refit: Refit = "ridge"
+) -> Float[ndarray, "n j 3"]:
+    """Estimates of every frame by a fit to the frames of all other groups (people, or actions).
+
+    Raises:
+        InputError: when there is only one group, or too little to fit to.
+    """
+    if refit == "none":
+        return observed.mapped()
+    names = np.unique(groups)
+    if len(names) < 2:
+        raise InputError(
+            f"{observed.name}: only '{names[0]}' is there, so nothing is left to fit to; pass --refit none"
+        )
+    estimates = np.full(observed.truths.shape, np.nan)
+    for name in names:
+        out = groups == name
+        estimates[out] = fit_joints(observed.rows(~out))(observed.rows(out))
+    return estimates
+
+
+def joint_numbers(metrics: JointMetrics, confidence: Reliability | None = None) -> dict[str, Any]:
+    """What every evaluation tells of its joints, under the same names."""
+    numbers: dict[str, Any] = {
+        "mean_joint_error_cm": metrics.mean_joint_error_cm,
+        "deviation_cm": metrics.deviation_cm,
+        "within_10cm": metrics.within_10cm,
+        "mean_ap_10cm": metrics.mean_ap_10cm,
+        "per_joint_error_cm": metrics.per_joint_error_cm,
+        "per_joint_deviation_cm": metrics.per_joint_deviation_cm,
+        "per_joint_within_10cm": metrics.per_joint_within_10cm,
+        "curve": list(metrics.curve),
+        "joints_observed": metrics.observed,
+        "joints_missing": metrics.missing,
+    }
+    if confidence is not None:
+        numbers["reliability"] = dataclasses.asdict(confidence)
+    return numbers
+
+
+def measure_estimates(
+    observed: Observations,
+    estimates: Float[ndarray, "n j 3"],
+    parts: Mapping[str, tuple[str, ...]] | None = None,
+) -> dict[str, Any]:
+    """All numbers of a set: over everything, by joint, person and action, and how far its confidence can be trusted.
+
+    Args:
+        parts: groups of joints, whose mean average precision at 10 cm is told too.
+    """
+    metrics = joint_metrics(estimates, observed.truths, observed.joints)
+    errors_cm = joint_errors_cm(estimates, observed.truths)
+    numbers = {
+        "frames": len(observed),
+        "frames_left_out": observed.left_out,
+        "frames_without_person": int((~observed.found).sum()),
+        "joints": list(observed.joints),
+        **joint_numbers(metrics, reliability(observed.joint_confidence(), errors_cm)),
+        "by_subject": _by(observed, estimates, observed.subjects),
+        "by_action": _by(observed, estimates, observed.actions),
+        "ms_per_frame": float(np.median(observed.milliseconds)),
+        "problems": list(observed.problems),
+    }
+    if parts:
+        numbers["ap_10cm_by_part"] = {
+            part: float(np.mean([metrics.per_joint_within_10cm[joint] for joint in joints]))
+            for part, joints in parts.items()
+        }
+    return numbers
+
+
+def _by(
+    observed: Observations, estimates: Float[ndarray, "n j 3"], groups: Shaped[ndarray, "n"]
+) -> dict[str, dict[str, Any]]:
+    """The main numbers of each group; none where there is only one."""
+    names = np.unique(groups)
+    found = {}
+    for name in names if len(names) > 1 else ():
+        rows = groups == name
+        metrics = joint_metrics(estimates[rows], observed.truths[rows], observed.joints)
+        found[str(name)] = {
+            "frames": metrics.frames,
+            "mean_joint_error_cm": metrics.mean_joint_error_cm,
+            "deviation_cm": metrics.deviation_cm,
+            "within_10cm": metrics.within_10cm,
+        }
+    return found
