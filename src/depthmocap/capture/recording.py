@@ -90,43 +90,74 @@ class Recording:
     """
 
     def __init__(self, path: Path) -> None:
-        """Open a folder, check its first frames and read its background frames.
+        """Open a recording, check its first frames and read its background frames.
 
         Raises:
-            InputError: when the folder is not a recording or its configuration cannot be right.
+            InputError: when it is not a recording or its configuration cannot be right.
         """
         self.path = path
         self._problems: dict[str, None] = {}  # an ordered set: reading a frame twice reports it once
+        self.rig, self._stamps = self._load()
+        self.up: str = self.rig.up
+        stamps = {name: own for name, own in self._stamps.items() if own}
+        for name in self.rig.names:
+            if name not in stamps:
+                self._note(f"{path / name}: no frames; the recording goes on without camera {name!r}")
+        self.period_ns: int = frame_period_ns(stamps)
+        check_clocks(path, stamps, self.period_ns)
+        for name, own in stamps.items():  # a fault in the first frame is one of configuration, not a lost frame
+            self.raw(name, own[0])
+        self._backgrounds = {name: self._read_background(name) for name in self.rig.names}
+        self._sets, gaps = fill_gaps(group_stamps(stamps, self.period_ns), self.period_ns)
+        for gap in gaps:
+            self._note(f"{path}: {gap}")
+        self._truth = self._place_truth(self._load_truth())
+
+    def _load(self) -> tuple[Rig, dict[str, list[int]]]:
+        """The rig, and each camera's timestamps in order; at least one camera has a frame."""
+        path = self.path
         if not path.is_dir():
             raise InputError(f"{path} is not a folder: {_LAYOUT}")
         if not (path / "rig.json").is_file():
             if (path / "groundtruth.mat").is_file():
                 raise InputError(f"{path} is a section of UBC3V, not a recording: pass it as a UBC3V section")
             raise InputError(f"{path} has no rig.json: {_LAYOUT}")
-        self.rig: Rig = load_rig(path / "rig.json")
-        self.up: str = self.rig.up
-        for name in self.rig.names:
+        rig = load_rig(path / "rig.json")
+        for name in rig.names:
             if Path(name).name != name:
                 raise InputError(f"{path / 'rig.json'}: camera name {name!r} cannot be a folder's name; rename it")
-        self._files = {name: _list_frames(path / name) for name in self.rig.names}
-        stamps = {name: list(files) for name, files in self._files.items() if files}
-        if not stamps:
-            raise InputError(f"{path} has no frames of its cameras ({', '.join(self.rig.names)}): {_LAYOUT}")
-        for name in self.rig.names:
-            if name not in stamps:
-                self._note(f"{path / name}: no frames; the recording goes on without camera {name!r}")
+        self._files = {name: _list_frames(path / name) for name in rig.names}
+        if not any(self._files.values()):
+            raise InputError(f"{path} has no frames of its cameras ({', '.join(rig.names)}): {_LAYOUT}")
         for folder in sorted(path.iterdir()):
-            if folder.is_dir() and folder.name not in self.rig.names and next(folder.glob("*.png"), None):
+            if folder.is_dir() and folder.name not in rig.names and next(folder.glob("*.png"), None):
                 self._note(f"{folder} is not read: rig.json has no camera of that name")
-        self.period_ns: int = frame_period_ns(stamps)
-        check_clocks(path, stamps, self.period_ns)
-        for name in stamps:  # a fault in the first frame is one of configuration, not a lost frame
-            read_depth_png(next(iter(self._files[name].values())), self.rig[name])
-        self._backgrounds = {name: self._read_background(name) for name in self.rig.names}
-        self._sets, gaps = fill_gaps(group_stamps(stamps, self.period_ns), self.period_ns)
-        for gap in gaps:
-            self._note(f"{path}: {gap}")
-        self._truth = self._read_truth(path / TRUTH_FILE)
+        return rig, {name: list(files) for name, files in self._files.items()}
+
+    def stamps(self, name: str) -> list[int]:
+        """The timestamps (ns) of a camera's frames in order, on the clock that all cameras share."""
+        return self._stamps[name]
+
+    def device_time(self, name: str, stamp: int) -> tuple[int, str]:
+        """A frame's time (ns) as its camera told it, and the name of that clock; here the shared one."""
+        return stamp, "recording"
+
+    def raw(self, name: str, stamp: int) -> UInt16[ndarray, "h w"]:
+        """Raw depth of a camera's frame.
+
+        Raises:
+            InputError: when it cannot be read, is damaged or not of the camera's size.
+        """
+        return read_depth_png(self._files[name][stamp], self.rig[name])
+
+    def raw_background(self, name: str) -> UInt16[ndarray, "h w"] | None:
+        """Raw depth of the empty scene, if the camera has a background frame."""
+        path = self.path / name / BACKGROUND_FILE
+        return read_depth_png(path, self.rig[name]) if path.exists() else None
+
+    def _where(self, name: str, what: str) -> str:
+        """The place of a frame or a background, for messages."""
+        return str(self.path / name / f"{what}.png")
 
     @property
     def problems(self) -> list[str]:
@@ -154,37 +185,47 @@ class Recording:
         self._problems[problem] = None
 
     def _read_view(self, name: str, stamp: int) -> View | None:
-        path, camera = self._files[name][stamp], self.rig[name]
+        camera = self.rig[name]
         try:
-            raw = read_depth_png(path, camera)
+            raw = self.raw(name, stamp)
         except InputError as error:
             self._note(str(error))
             return None
         if not ((raw > 0) & (raw < SATURATED)).any():
-            self._note(f"{path} has no valid depth (all 0 or {SATURATED}): was the camera covered?")
+            where = self._where(name, str(stamp))
+            self._note(f"{where} has no valid depth (all 0 or {SATURATED}): was the camera covered?")
             return None
         return View(camera, camera.to_metres(raw))
 
     def _read_background(self, name: str) -> Float[ndarray, "h w"] | None:
-        path = self.path / name / BACKGROUND_FILE
-        if not path.exists():
+        raw = self.raw_background(name)
+        if raw is None:
             return None
-        depth_m = self.rig[name].to_metres(read_depth_png(path, self.rig[name]))
+        depth_m = self.rig[name].to_metres(raw)
         if not depth_m.any():
-            raise InputError(f"{path} has no valid depth: record the empty scene again, or delete it")
+            where = self._where(name, "background")
+            raise InputError(f"{where} has no valid depth: record the empty scene again, or delete it")
         return depth_m
 
-    def _read_truth(self, path: Path) -> tuple[Float[ndarray, " rows"], Float[ndarray, "rows 18 3"]] | None:
-        """Times on the frames' clock (s) and joints."""
-        if not path.exists():
+    def _load_truth(self) -> tuple[Float[ndarray, " rows"], Float[ndarray, "rows 18 3"]] | None:
+        """Times (s) and joints as they were recorded."""
+        path = self.path / TRUTH_FILE
+        return read_csv(path)[:2] if path.exists() else None
+
+    def _place_truth(
+        self, truth: tuple[Float[ndarray, " rows"], Float[ndarray, "rows 18 3"]] | None
+    ) -> tuple[Float[ndarray, " rows"], Float[ndarray, "rows 18 3"]] | None:
+        """The true joints with times on the frames' clock (s)."""
+        if truth is None:
             return None
-        times_s, joints, _ = read_csv(path)
+        times_s, joints = truth
         first_s, last_s = self._sets[0].timestamp_ns / 1e9, self._sets[-1].timestamp_ns / 1e9
         slack_s = self.period_ns / 2e9
         if times_s[-1] < first_s - slack_s and times_s[0] <= slack_s:
             times_s = times_s + first_s  # as in pose.csv, counted from the first frame
         if times_s[-1] < first_s - slack_s or times_s[0] > last_s + slack_s:
-            self._note(f"{path}: no row is at the time of a frame; time_s must be the frames' timestamps / 1e9")
+            what = "no row is at the time of a frame; time_s must be the frames' timestamps / 1e9"
+            self._note(f"{self.path / TRUTH_FILE}: {what}")
         return times_s, joints
 
     def _true_joints(self, timestamp_ns: int) -> Float[ndarray, "18 3"] | None:

@@ -1,0 +1,231 @@
+"""A recording in an MCAP file, read like a recording folder: ours, or others' with the same message types of Foxglove.
+
+A camera is a CameraCalibration; its frames are the 16-bit images with the same ``frame_id``; where it stands follows
+from the FrameTransforms. Files without our metadata are taken to be in millimetres and Z up.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt16
+from numpy import ndarray
+from scipy.spatial.transform import Rotation
+
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.capture.depth_codec import decode_depth
+from depthmocap.capture.mcap_file import Channel, McapFile, Message, iterate_topics
+from depthmocap.capture.mcap_messages import (
+    CALIBRATION,
+    COMPRESSED_IMAGE,
+    RAW_IMAGE,
+    TRANSFORM,
+    Calibration,
+    Image,
+    Transform,
+    image_time_ns,
+    read_calibration,
+    read_image,
+    read_transform,
+)
+from depthmocap.capture.mcap_writer import METADATA, SHARED_CLOCK, TRUTH_TOPIC, VERSION
+from depthmocap.capture.recording import Recording
+from depthmocap.errors import InputError
+from depthmocap.geometry import DepthCamera, Rig, is_rigid
+
+#: Enough of an image's message to hold its time.
+_HEAD_BYTES = 32
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Images:
+    """The images of one camera: their messages by the stamp they are known by, and their own times and clock."""
+
+    channel: Channel
+    messages: dict[int, Message]
+    times_ns: dict[int, int]
+    clock: str
+
+
+class McapRecording(Recording):
+    """A recording in an MCAP file, as a sequence of frame sets.
+
+    Where all cameras share a clock, sets form by the frames' own times; where they do not, by the times at which the
+    frames arrived at the host (the log times). A file that was cut off is read up to the cut, which is in ``problems``.
+
+    Attributes:
+        complete: whether the file was finished.
+    """
+
+    def _load(self) -> tuple[Rig, dict[str, list[int]]]:
+        self._file = McapFile(self.path)
+        self.complete = self._file.complete
+        if not self.complete:
+            self._note(f"{self.path} was cut off; what is in it is read (depthmocap recover makes a whole file of it)")
+        own = self._file.metadata.get(METADATA, {})
+        if own and own.get("version") != VERSION:
+            raise InputError(
+                f"{self.path} is a recording of version {own.get('version')}; this depthmocap reads version {VERSION}"
+            )
+        calibrations: dict[str, Calibration] = {}
+        transforms: dict[str, tuple[Transform, Channel]] = {}
+        depth: list[tuple[Channel, list[Message]]] = []
+        backgrounds: list[tuple[Channel, list[Message]]] = []
+        self._truth_messages: list[Message] = []
+        for channel, messages in iterate_topics(self._file):
+            if not messages:
+                continue
+            if channel.schema_name == CALIBRATION:
+                calibration = read_calibration(self._file.payload(messages[-1]))
+                calibrations[calibration.frame_id] = calibration
+            elif channel.schema_name == TRANSFORM:
+                for message in messages:  # one channel may hold many cameras' transforms
+                    transform = read_transform(self._file.payload(message))
+                    transforms[transform.child] = (transform, channel)
+            elif channel.schema_name in (RAW_IMAGE, COMPRESSED_IMAGE):
+                (backgrounds if channel.metadata.get("kind") == "background" else depth).append((channel, messages))
+            elif channel.topic == TRUTH_TOPIC and channel.encoding == "json":
+                self._truth_messages = messages
+        if not calibrations:
+            raise InputError(f"{self.path} has no {CALIBRATION}: without it depth is no use; record with depthmocap")
+        self._images = self._by_camera(depth, calibrations)
+        self._empty = {
+            self._first(channel, messages).frame_id: (channel, messages[0]) for channel, messages in backgrounds
+        }
+        cameras = tuple(self._camera(calibrations[name], transforms, self._images.get(name)) for name in calibrations)
+        if not any(images.messages for images in self._images.values()):
+            raise InputError(f"{self.path} has no depth frame of its cameras ({', '.join(calibrations)})")
+        stamps = {name: list(self._images[name].messages) if name in self._images else [] for name in calibrations}
+        return Rig(cameras, own.get("up", "z")), stamps
+
+    def close(self) -> None:
+        """Close the file; frames cannot be read any more."""
+        self._file.close()
+
+    def device_time(self, name: str, stamp: int) -> tuple[int, str]:
+        images = self._images[name]
+        return images.times_ns[stamp], images.clock
+
+    def raw(self, name: str, stamp: int) -> UInt16[ndarray, "h w"]:
+        images = self._images[name]
+        return self._decode(name, str(stamp), images.channel, images.messages[stamp])
+
+    def raw_background(self, name: str) -> UInt16[ndarray, "h w"] | None:
+        if name not in self._empty:
+            return None
+        return self._decode(name, "background", *self._empty[name])
+
+    def _where(self, name: str, what: str) -> str:
+        return f"{self.path}: frame {what} of {name!r}"
+
+    def _decode(self, name: str, what: str, channel: Channel, message: Message) -> UInt16[ndarray, "h w"]:
+        camera = self.rig[name]
+        try:
+            image = read_image(self._file.payload(message), channel.schema_name)
+            coding = "raw" if channel.schema_name == RAW_IMAGE else image.format
+            return decode_depth(image.data, coding, (camera.width, camera.height))
+        except InputError as error:
+            raise InputError(f"{self._where(name, what)}: {error}") from None
+
+    def _first(self, channel: Channel, messages: list[Message]) -> Image:
+        return read_image(self._file.payload(messages[0]), channel.schema_name)
+
+    def _by_camera(
+        self, depth: list[tuple[Channel, list[Message]]], calibrations: dict[str, Calibration]
+    ) -> dict[str, _Images]:
+        """The depth images of each calibrated camera, by the stamps that sets are formed by."""
+        clocks = {channel.metadata.get("clock", SHARED_CLOCK) for channel, _ in depth}
+        found: dict[str, _Images] = {}
+        for channel, messages in depth:
+            image = self._first(channel, messages)
+            if channel.schema_name == RAW_IMAGE and image.format not in ("16UC1", "mono16"):
+                continue
+            if channel.schema_name == COMPRESSED_IMAGE and not channel.metadata.get("kind") and image.format != "png":
+                continue
+            if image.frame_id not in calibrations or image.frame_id in found:
+                reason = "has no calibration" if image.frame_id not in calibrations else "has another depth topic"
+                self._note(f"{self.path}: {channel.topic} is not read: its frame {image.frame_id!r} {reason}")
+                continue
+            times = [image_time_ns(self._file.head(message, _HEAD_BYTES)) for message in messages]
+            stamps = times if len(clocks) == 1 else [message.log_time_ns for message in messages]
+            order = sorted(range(len(stamps)), key=stamps.__getitem__)
+            by_stamp: dict[int, Message] = {}
+            times_ns: dict[int, int] = {}
+            for i in order:
+                if stamps[i] in by_stamp:
+                    self._note(f"{self._where(image.frame_id, str(stamps[i]))}: written twice; the first is read")
+                    continue
+                by_stamp[stamps[i]], times_ns[stamps[i]] = messages[i], times[i]
+            clock = channel.metadata.get("clock", SHARED_CLOCK)
+            found[image.frame_id] = _Images(channel, by_stamp, times_ns, clock)
+        return found
+
+    def _camera(
+        self, calibration: Calibration, transforms: dict[str, tuple[Transform, Channel]], images: _Images | None
+    ) -> DepthCamera:
+        name = calibration.frame_id
+        if calibration.model not in ("", "plumb_bob") or calibration.distortion.size not in (0, 5):
+            raise InputError(
+                f"{self.path}: camera {name!r} has the lens model {calibration.model!r} with "
+                f"{calibration.distortion.size} numbers: expected plumb_bob with 5"
+            )
+        matrix = calibration.matrix
+        unit_m = float(images.channel.metadata.get("depth_unit_m", 0.001)) if images else 0.001
+        if min(calibration.width, calibration.height, matrix[0, 0], matrix[1, 1], unit_m) <= 0:
+            raise InputError(f"{self.path}: the calibration of camera {name!r} has sizes that are not positive")
+        k1, k2, p1, p2, k3 = calibration.distortion.tolist() or [0.0] * 5
+        return DepthCamera(
+            name, calibration.width, calibration.height, float(matrix[0, 0]), float(matrix[1, 1]),
+            float(matrix[0, 2]), float(matrix[1, 2]), self._pose(name, transforms), (k1, k2, p1, p2, k3), unit_m,
+        )  # fmt: skip
+
+    def _pose(self, name: str, transforms: dict[str, tuple[Transform, Channel]]) -> Float[ndarray, "4 4"]:
+        """``world_from_camera``: exact where our metadata have it, otherwise along the transforms up to the root."""
+        pose, frame, seen = np.eye(4), name, set[str]()
+        while frame in transforms and frame not in seen:
+            seen.add(frame)
+            transform, channel = transforms[frame]
+            step = np.eye(4)
+            if exact := channel.metadata.get("world_from_camera"):
+                step = np.array(json.loads(exact), np.float64)
+            elif np.any(transform.rotation):
+                step[:3, :3] = Rotation.from_quat(transform.rotation).as_matrix()
+                step[:3, 3] = transform.translation
+            pose, frame = step @ pose, transform.parent
+        if pose.shape != (4, 4) or not is_rigid(pose):
+            raise InputError(f"{self.path}: the transform of camera {name!r} is not a rotation and a translation")
+        return pose
+
+    def _load_truth(self) -> tuple[Float[ndarray, " rows"], Float[ndarray, "rows 18 3"]] | None:
+        if not self._truth_messages:
+            return None
+        rows = self.truth_rows()
+        return np.array([stamp / 10**9 for stamp, _ in rows]), np.stack([joints for _, joints in rows])
+
+    def truth_rows(self) -> list[tuple[int, Float[ndarray, "18 3"]]]:
+        """Times (ns) and true joints as they were written, in order of time.
+
+        Raises:
+            InputError: when one of them is damaged.
+        """
+        rows: list[tuple[int, Float[ndarray, "18 3"]]] = []
+        for message in self._truth_messages:
+            try:
+                document = json.loads(self._file.payload(message))
+                joints = np.array([document["joints"][joint] for joint in JOINTS], np.float64)
+                rows.append((int(document["timestamp_ns"]), joints.reshape(len(JOINTS), 3)))
+            except (ValueError, KeyError, TypeError):
+                raise InputError(f"{self.path}: the true joints at {message.log_time_ns} cannot be read") from None
+        return sorted(rows, key=lambda row: row[0])
+
+
+def open_recording(path: Path) -> Recording:
+    """A recording folder or an MCAP file.
+
+    Raises:
+        InputError: when it is neither.
+    """
+    return McapRecording(path) if path.suffix.lower() == ".mcap" or path.is_file() else Recording(path)
