@@ -1,0 +1,43 @@
+"""The packaged network in 8 bits labels as it does in 32."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+onnx = pytest.importorskip("onnx")
+
+import onnxruntime  # noqa: E402
+
+from depthmocap.classify.export import export_onnx  # noqa: E402
+from depthmocap.classify.networks import CLASSES, FastNet  # noqa: E402
+from depthmocap.classify.quantise import calibration_windows, quantise  # noqa: E402
+from depthmocap.classify.runtime import Classifier  # noqa: E402
+from depthmocap.classify.train import load_weights  # noqa: E402
+
+
+def test_same_labels_in_half_the_space(body_model, tmp_path):
+    network = FastNet()
+    load_weights(network, Classifier().path.with_name("fast.safetensors"))
+    source = export_onnx(network.eval(), tmp_path / "classifier.onnx", {"network": "fast"})
+    windows = calibration_windows(3, 12, "open", None)
+    assert windows.shape[0] == 12
+    path = quantise(source, windows[:8], tmp_path / "int8.onnx")
+    assert path.stat().st_size < 0.6 * source.stat().st_size
+    assert {e.key: e.value for e in onnx.load(path).metadata_props} == {"network": "fast", "precision": "int8"}
+    Classifier(path)  # a classifier like any other
+
+    seen = windows[8:]
+    labels = [labels_of(each, seen) for each in (source, path)]
+    person = seen[:, 1] > 0
+    assert (labels[0] == labels[1])[person].mean() > 0.95
+    assert len(np.unique(labels[1][person])) > 20
+
+
+def labels_of(path: Path, windows):
+    """Labels (n, s, s)."""
+    (logits,) = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"]).run(None, {"windows": windows})
+    n, _, h, w = logits.shape
+    chosen = logits.reshape(n, 2, 2, CLASSES, h, w).argmax(3)
+    return chosen.transpose(0, 3, 1, 4, 2).reshape(n, 2 * h, 2 * w)
