@@ -33,12 +33,14 @@ class PoseTraining:
             settings.json and for the samples.
         estimators: which are fitted: votes (extra: train), ridge or all.
         minutes: how long the voting network is trained.
+        start: a votes.safetensors that its training goes on from.
     """
 
     out: Path
     source: tyro.conf.OmitArgPrefixes[PoseSamples] = dataclasses.field(default_factory=PoseSamples)
     estimators: Estimators = "all"
     minutes: float = 15.0
+    start: Path | None = None
 
 
 def train_pose(settings: PoseTraining, console: Console | None = None) -> list[Path]:
@@ -62,7 +64,7 @@ def train_pose(settings: PoseTraining, console: Console | None = None) -> list[P
     if settings.estimators != "ridge":
         from depthmocap.pose.votes_train import VotesTraining, train_votes
 
-        training = VotesTraining(minutes=settings.minutes)
+        training = VotesTraining(minutes=settings.minutes, start=settings.start)
         written.append(train_votes(samples, training, settings.source.seed, settings.out, console))
     return written
 

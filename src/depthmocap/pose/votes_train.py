@@ -21,6 +21,7 @@ from torch import nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from depthmocap.body.skeleton import MIRROR as MIRRORED_JOINTS
+from depthmocap.classify.train import load_weights
 from depthmocap.errors import InputError
 from depthmocap.pose.collect import LABELS, Collected, Labels
 from depthmocap.pose.parts import (
@@ -58,11 +59,13 @@ class VotesTraining:
         minutes: length of the training.
         learning_rate: its peak; it falls to zero along a cosine.
         weight_decay: of AdamW.
+        start: a votes.safetensors to start from.
     """
 
     minutes: float = 15.0
     learning_rate: float = 1.5e-3
     weight_decay: float = 0.03
+    start: Path | None = None
 
 
 def augment(
@@ -147,7 +150,7 @@ def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Pat
     ``RIGHT_M``.
 
     Raises:
-        InputError: for samples of fewer than two groups (motion clips).
+        InputError: for samples of fewer than two groups (motion clips), or weights that cannot be read.
     """
     if settings.minutes <= 0:
         raise InputError(f"--minutes must be above 0, got {settings.minutes}")
@@ -158,7 +161,10 @@ def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Pat
     held_out = grouped_folds(samples.groups, _VALID_FOLDS) == 0
     train, valid = np.flatnonzero(sees & ~held_out), np.flatnonzero(sees & held_out)
     network = VotesNet()
-    network.start_from(*_usual(samples.parts[usable[0]][train], samples.joints[train]))
+    if settings.start is None:
+        network.start_from(*_usual(samples.parts[usable[0]][train], samples.joints[train]))
+    else:
+        load_weights(network, settings.start)
     average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(_AVERAGE))
     optimiser = torch.optim.AdamW(
         network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, betas=(0.9, 0.98)
@@ -192,7 +198,7 @@ def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Pat
             step += 1
             if step > _AVERAGE_AFTER:
                 average.update_parameters(network)
-            running.append(float(distance.mean()) * 100)
+            running.append(distance.mean().item() * 100)
             progress.update(task, completed=share, description=f"{step * _BATCH} samples  {running[-1]:.1f} cm")
             if time.monotonic() - told > max(20, settings.minutes * 3):
                 told = time.monotonic()
