@@ -49,8 +49,12 @@ _COMMANDS = (
              "accuracy on the project's own test sets, made anew", "train"),
     _Command("evaluate itop", "depthmocap.evaluate.itop", "ItopEvaluation", "evaluate_itop",
              "accuracy on ITOP, after a refit to its joints"),
+    _Command("evaluate eval", "depthmocap.evaluate.eval3d", "EvalEvaluation", "evaluate_eval",
+             "accuracy on EVAL, every person by a fit to the others"),
     _Command("evaluate mhad", "depthmocap.evaluate.mhad", "MhadEvaluation", "evaluate_mhad",
              "accuracy on Berkeley MHAD, every person by a fit to the others"),
+    _Command("evaluate labels", "depthmocap.evaluate.labels", "LabelsEvaluation", "evaluate_labels",
+             "confusion, swapped limbs and calibration of a classifier's labels"),
     _Command("evaluate labels2d", "depthmocap.evaluate.labels2d", "Labels2dEvaluation", "evaluate_labels2d",
              "labels of real depth against joints found in colour"),
 )  # fmt: skip

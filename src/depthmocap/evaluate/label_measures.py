@@ -1,0 +1,114 @@
+"""Two faults of labels that pixel accuracy hides: whole limbs on the wrong side, and probabilities that promise too
+much."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Integer
+from numpy import ndarray
+
+from depthmocap.body.regions import REGION, REGION_COUNT
+
+_ARM = ("upper arm", "elbow", "forearm", "wrist", "hand")
+_LEG = ("thigh", "knee", "shin", "ankle", "forefoot")
+_FRONT = ("chest", "belly", "shoulder front")
+_BACK = ("upper back", "lower back", "shoulder back")
+#: Each part of the body: its regions, and the part it is swapped with.
+_PARTS: dict[str, tuple[tuple[str, ...], str]] = {
+    **{f"{name} {side}": (tuple(f"{each} {side}" for each in regions), f"{name} {other}")
+       for name, regions in (("arm", _ARM), ("leg", _LEG), ("torso", _FRONT + _BACK))
+       for side, other in (("R", "L"), ("L", "R"))},
+    "torso front": (tuple(f"{each} {side}" for each in _FRONT for side in "RL"), "torso back"),
+    "torso back": (tuple(f"{each} {side}" for each in _BACK for side in "RL"), "torso front"),
+}  # fmt: skip
+PARTS = tuple(_PARTS)
+_OPPOSITE = np.array([PARTS.index(opposite) for _, opposite in _PARTS.values()])
+#: Row p has a 1 at every region of part p.
+_MEMBERS = np.zeros((len(PARTS), REGION_COUNT + 1), dtype=np.int64)
+for _row, (_regions, _) in zip(_MEMBERS, _PARTS.values(), strict=True):
+    _row[[REGION[_name] for _name in _regions]] = 1
+#: A part of which a window shows fewer labelled pixels is not judged.
+LEAST_PIXELS = 60
+
+
+def _no_counts() -> Int[ndarray, " parts"]:
+    return np.zeros(len(PARTS), dtype=np.int64)
+
+
+@dataclasses.dataclass(eq=False)
+class PartSwaps:
+    """Parts of the body that are labelled as their opposite: left for right, front for back.
+
+    A part that a view shows (with at least ``LEAST_PIXELS`` labelled pixels) is swapped where more than half of those
+    are given regions of the opposite part. A torso taken from behind for one from the front counts as swapped in both
+    ways, since its sides change as well.
+    """
+
+    views: int = 0
+    #: Views with any part swapped.
+    swapped_views: int = 0
+    #: By part, in the order of ``PARTS``: views that show it, and those of them that swap it.
+    shown: Int[ndarray, " parts"] = dataclasses.field(default_factory=_no_counts)
+    swapped: Int[ndarray, " parts"] = dataclasses.field(default_factory=_no_counts)
+
+    def add(self, labels_true: Integer[ndarray, "*n"], labels_predicted: Integer[ndarray, "*n"]) -> bool:
+        """Count one view, of any shape; pixels whose true region is not 1–43 are left out. Tells whether it swaps."""
+        counted = (labels_true >= 1) & (labels_true <= REGION_COUNT)
+        classes = REGION_COUNT + 1
+        pairs = labels_true[counted].astype(np.int64) * classes + labels_predicted[counted]
+        confusion = np.bincount(pairs, minlength=classes**2).reshape(classes, classes)
+        by_part = _MEMBERS @ confusion
+        total, opposite = by_part.sum(1), (by_part * _MEMBERS[_OPPOSITE]).sum(1)
+        shown = total >= LEAST_PIXELS
+        swapped = shown & (2 * opposite > total)
+        self.views += 1
+        self.swapped_views += int(swapped.any())
+        self.shown += shown
+        self.swapped += swapped
+        return bool(swapped.any())
+
+    @property
+    def per_1000_views(self) -> float:
+        """Of a thousand views, those with any part swapped; NaN without views."""
+        return 1000 * self.swapped_views / self.views if self.views else float("nan")
+
+
+_BINS = 20
+
+
+def _no_sums() -> Float[ndarray, " bins"]:
+    return np.zeros(_BINS)
+
+
+@dataclasses.dataclass(eq=False)
+class Calibration:
+    """How often pixels of a probability are right (reliability diagram), in 20 bins of equal width."""
+
+    pixels: Float[ndarray, " bins"] = dataclasses.field(default_factory=_no_sums)
+    #: Sums of the probabilities, and of the pixels labelled right.
+    confidence: Float[ndarray, " bins"] = dataclasses.field(default_factory=_no_sums)
+    right: Float[ndarray, " bins"] = dataclasses.field(default_factory=_no_sums)
+
+    def add(self, confidence: Float[ndarray, "*n"], right: Bool[ndarray, "*n"]) -> None:
+        """Count pixels with the probability (0–1) of their label, and whether it is the true one."""
+        flat = confidence.ravel().astype(np.float64)
+        place = np.minimum((flat * _BINS).astype(np.intp), _BINS - 1)
+        self.pixels += np.bincount(place, minlength=_BINS)
+        self.confidence += np.bincount(place, flat, minlength=_BINS)
+        self.right += np.bincount(place, right.ravel(), minlength=_BINS)
+
+    @property
+    def error(self) -> float:
+        """Expected calibration error (0–1): the mean, over pixels, of the distance between a bin's probability and its
+        share of right labels; NaN without pixels."""
+        total = self.pixels.sum()
+        return float(np.abs(self.confidence - self.right).sum() / total) if total else float("nan")
+
+    @property
+    def rows(self) -> list[tuple[int, float, float]]:
+        """Of every bin that holds pixels: how many, their mean probability, the share labelled right."""
+        kept = self.pixels > 0
+        columns = self.pixels[kept], self.confidence[kept] / self.pixels[kept], self.right[kept] / self.pixels[kept]
+        return [(int(n), float(p), float(share)) for n, p, share in zip(*columns, strict=True)]
