@@ -22,7 +22,7 @@ from depthmocap.pose.cloud import LabelledView, merge_views
 from depthmocap.pose.estimate import RidgeEstimator, load_estimator
 from depthmocap.pose.features import FEATURES_PER_REGION, MIN_POINTS, cloud_features
 from depthmocap.pose.ridge import RidgePose
-from depthmocap.pose.smooth import DEFAULT_WEIGHTS
+from depthmocap.pose.track import AUTO, load_filter
 from depthmocap.synth.motion.postures import PosturePrior
 from depthmocap.synth.people.bodies import random_dressed
 from depthmocap.synth.render import render_person
@@ -136,7 +136,7 @@ def whole_pipeline(bench: Bench, recording: Path | None) -> None:
         return
     source = Recording(path)
     pipeline = Pipeline(
-        load_classifier(bench), load_estimator(), PersonSegmenter.from_recording(source), source.up, DEFAULT_WEIGHTS
+        load_classifier(bench), load_estimator(), PersonSegmenter.from_recording(source), source.up, load_filter(AUTO)
     )
     sets = min(len(source), bench.warm_up + bench.runs)
     total, reading, stages = [], [], []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 import json
 import platform
@@ -23,13 +24,11 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.evaluate.metrics import joint_metrics
 from depthmocap.export import CsvWriter, write_bvh, write_trc
-from depthmocap.frames import FrameSource, Pose
+from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.offline_report import Pictures, write_run_report
-from depthmocap.pipeline import STAGES, Pipeline
+from depthmocap.pipeline import STAGES, Pipeline, Result
 from depthmocap.pose.estimate import load_estimator
-from depthmocap.pose.smooth import weights_for
-
-Smoothing = Literal["auto", "none", "average"]
+from depthmocap.pose.track import AUTO, Smoothing, load_filter
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,8 +39,11 @@ class RunSettings:
         recording: a recording folder (rig.json and 16-bit PNGs per camera) or a section of UBC3V.
         out: folder for pose.csv, pose.trc, pose.bvh, summary.json and report.html.
         segment: "auto" finds the person in a static scene; "none" takes every valid pixel.
-        smooth: "average" is the paper's weighted average of the last frames; "auto" uses it for recordings but not for
-            UBC3V sections, whose frames do not follow each other.
+        smooth: a filter over time. "average" is the paper's weighted average of the last frames, "fixed-lag" waits for
+            later ones; "auto" is "kalman" for recordings and "none" for UBC3V sections, whose frames do not follow
+            each other.
+        lag_frames: that "fixed-lag" waits for.
+        bridge_s: how long "kalman" and "fixed-lag" go on with a joint that is missing (s); 0 leaves gaps.
         weights: a classifier.onnx of your own.
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
         report: draw report.html and the animated preview.
@@ -51,6 +53,8 @@ class RunSettings:
     out: Path
     segment: Literal["auto", "none"] = "auto"
     smooth: Smoothing = "auto"
+    lag_frames: int = 4
+    bridge_s: float = 0.0
     weights: Path | None = None
     estimator: str = "votes"
     report: bool = True
@@ -76,6 +80,9 @@ def load_pipeline(
     smooth: Smoothing = "auto",
     weights: Path | None = None,
     estimator: str = "votes",
+    *,
+    lag_frames: int = 4,
+    bridge_s: float = 0.0,
 ) -> Pipeline:
     """The pipeline for a source, its background learnt, with the packaged weights or your own (see RunSettings).
 
@@ -83,10 +90,11 @@ def load_pipeline(
         InputError: when the recording or the weights cannot be read.
     """
     source = open_source(source) if isinstance(source, Path | str) else source
-    smoothing = None
-    if smooth == "average" or (smooth == "auto" and isinstance(source, Recording)):
-        period_ns = source.period_ns if isinstance(source, Recording) else 1e9 / 30
-        smoothing = weights_for(period_ns / 1e9)
+    if smooth == "auto":
+        from depthmocap.datasets.ubc3v import Section
+
+        smooth = "none" if isinstance(source, Section) else AUTO
+    smoothing = None if smooth == "none" else load_filter(smooth, lag_frames, bridge_s)
     return Pipeline(
         Classifier(weights),
         load_estimator(estimator),
@@ -109,7 +117,10 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     except OSError as error:
         raise InputError(f"cannot write to {settings.out}: {error.strerror}") from None
     with console.status("reading the background and the weights"):
-        pipeline = load_pipeline(source, settings.segment, settings.smooth, settings.weights, settings.estimator)
+        pipeline = load_pipeline(
+            source, settings.segment, settings.smooth, settings.weights, settings.estimator,
+            lag_frames=settings.lag_frames, bridge_s=settings.bridge_s,
+        )  # fmt: skip
         # The first frame ever compiles the inner loops, which would be taken for the machine's speed.
         for frames in source:
             pipeline(frames)
@@ -121,30 +132,45 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     rows: list[tuple[Pose, Float[ndarray, "18 3"], dict[str, float]]] = []
     delivered: dict[str, int] = dict.fromkeys(source.rig.names, 0) if isinstance(source, Recording) else {}
     interrupted = False
+    # Frames whose pose a filter that waits has not given yet.
+    waiting: collections.deque[tuple[FrameSet, Result, dict[str, float]]] = collections.deque()
+    delay = pipeline.smoothing.delay_frames if pipeline.smoothing else 0
     columns = (
         TextColumn("capturing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
         TextColumn("{task.fields[rate]}"),
     )  # fmt: skip
     with CsvWriter(settings.out / "pose.csv") as csv, Progress(*columns, console=console) as progress:
         task = progress.add_task("capturing", total=len(source), rate="")
+        recent_ms: collections.deque[float] = collections.deque(maxlen=30)
+
+        def finished(pose: Pose) -> None:
+            frames, result, milliseconds = waiting.popleft()
+            csv.write(pose)
+            truth = frames.true_joints if frames.true_joints is not None else np.full((len(JOINTS), 3), np.nan)
+            rows.append((pose, truth, milliseconds))
+            if pictures is not None:
+                pictures.add(frames, dataclasses.replace(result, pose=pose))
+
         try:
             before = time.perf_counter()
             for frames in source:
                 read_ms = (time.perf_counter() - before) * 1e3
                 result = pipeline(frames)
-                csv.write(result.pose)
-                truth = frames.true_joints if frames.true_joints is not None else np.full((len(JOINTS), 3), np.nan)
-                rows.append((result.pose, truth, {"read": read_ms, **result.milliseconds}))
+                waiting.append((frames, result, {"read": read_ms, **result.milliseconds}))
+                if len(waiting) > delay:
+                    finished(result.pose)
                 for view in frames.views:
                     delivered[view.camera.name] = delivered.get(view.camera.name, 0) + 1
-                if pictures is not None:
-                    pictures.add(frames, result)
-                recent_ms = np.mean([sum(row[2].values()) for row in rows[-30:]])
-                progress.update(task, advance=1, rate=f"{1e3 / recent_ms:.0f} frames/s")
+                recent_ms.append(read_ms + sum(result.milliseconds.values()))
+                progress.update(task, advance=1, rate=f"{1e3 / np.mean(recent_ms):.0f} frames/s")
                 before = time.perf_counter()
         except KeyboardInterrupt:
             interrupted = True
             console.print(f"stopped after {len(rows)} of {len(source)} frames; writing what was done")
+        for pose in pipeline.finish():
+            # An interruption may have come between the filter and this list.
+            if waiting and waiting[0][0].timestamp_ns == pose.timestamp_ns:
+                finished(pose)
 
     poses, truths, times = [row[0] for row in rows], [row[1] for row in rows], [row[2] for row in rows]
     problems = [*getattr(source, "problems", []), *getattr(pipeline.segment, "problems", [])]
@@ -154,7 +180,7 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     write_trc(settings.out / "pose.trc", poses, source.up)
     held = write_bvh(settings.out / "pose.bvh", poses, source.up)
     summary = _summary(settings, poses, truths, times, delivered, held, problems)
-    summary |= {"interrupted": interrupted, "smoothing": pipeline.smoothing}
+    summary |= {"interrupted": interrupted, "smoothing": pipeline.smoothing.describe() if pipeline.smoothing else None}
     (settings.out / "summary.json").write_text(json.dumps(_plain(summary), indent=1) + "\n")
     if pictures is not None:
         with console.status("drawing the report"):

@@ -12,21 +12,24 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, UInt8
 from numpy import ndarray
 
 from depthmocap.classify.runtime import Classifier
 from depthmocap.frames import FrameSet, Pose, View
 from depthmocap.pose.cloud import LabelledCloud, merge_views
 from depthmocap.pose.estimate import JointEstimator
-from depthmocap.pose.smooth import CausalAverage
+from depthmocap.pose.filter import PoseFilter
 
 STAGES = ("segment", "label", "merge", "joints", "smooth")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Result:
-    """The pose of a frame set and everything found on the way to it."""
+    """The pose of a frame set and everything found on the way to it.
+
+    A filter that waits for later frames makes the pose that of an earlier one: its timestamp tells which.
+    """
 
     pose: Pose
     masks: tuple[Bool[ndarray, "_ _"], ...]
@@ -45,23 +48,26 @@ class Pipeline:
         estimator: JointEstimator,
         segment: Callable[[View], Bool[ndarray, "_ _"]],
         up: str = "z",
-        smoothing: Float[ndarray, "k"] | None = None,
+        smoothing: PoseFilter | None = None,
     ) -> None:
         """
         Args:
             segment: gives the person's mask of a view, e.g. a ``PersonSegmenter``.
             up: the world's up axis.
-            smoothing: weights of the current and the previous estimates (paper, Sec. IV-C); None for no smoothing.
+            smoothing: a filter over time, of this pipeline alone (``pose.track.load_filter``); None for none.
         """
         self._classifier, self._estimator, self.segment, self._up = classifier, estimator, segment, up
-        self.smoothing = None if smoothing is None else smoothing.tolist()
-        self._smooth = CausalAverage(smoothing) if smoothing is not None else None
+        self.smoothing = smoothing
         self._pool = ThreadPoolExecutor(max_workers=4)
 
     def reset(self) -> None:
         """Forget past poses."""
-        if self._smooth is not None:
-            self._smooth.reset()
+        if self.smoothing is not None:
+            self.smoothing.reset()
+
+    def finish(self) -> list[Pose]:
+        """The poses that a filter which waits has held back, at the end of a stream; forgets past poses."""
+        return [] if self.smoothing is None else self.smoothing.finish()
 
     def __call__(self, frames: FrameSet) -> Result:
         """Process one frame set. Without a person (or a view) the joints are NaN and their confidence 0."""
@@ -75,11 +81,12 @@ class Pipeline:
         clock.append(time.perf_counter())
         joints, confidence = self._estimator(cloud, self._up)
         clock.append(time.perf_counter())
-        if self._smooth is not None:
-            joints = self._smooth(joints)
+        pose = Pose(frames.timestamp_ns, joints, confidence)
+        if self.smoothing is not None:
+            pose = self.smoothing(pose)
         clock.append(time.perf_counter())
         return Result(
-            Pose(frames.timestamp_ns, joints, confidence),
+            pose,
             tuple(masks),
             tuple(labels for labels, _ in labelled),
             cloud,

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from depthmocap.errors import InputError
-from depthmocap.pose.smooth import DEFAULT_WEIGHTS, CausalAverage, fit_weights, smooth, weights_for
+from depthmocap.frames import Pose
+from depthmocap.pose.smooth import DEFAULT_WEIGHTS, Average, AverageSettings, fit_weights, smooth
 
 
 def poses(*values):
@@ -46,19 +47,22 @@ def test_stream_equals_batch():
     joints = rng.standard_normal((40, 18, 3)).astype(np.float32)
     joints[rng.uniform(size=(40, 18)) < 0.2] = np.nan
     joints[10:14] = np.nan
-    weights = np.array([0.4, 0.3, -0.1, 0.4])
-    average = CausalAverage(weights)
+    weights = (0.4, 0.3, -0.1, 0.4)
+    average = Average(AverageSettings(weights=weights))
     for _ in range(2):
-        np.testing.assert_allclose(np.stack([average(pose) for pose in joints]), smooth(joints, weights), atol=1e-12)
+        stream = [average(Pose(i, pose, np.ones(18))).joints for i, pose in enumerate(joints)]
+        np.testing.assert_allclose(np.stack(stream), smooth(joints, np.array(weights)), atol=1e-12)
         average.reset()
 
 
 def test_bad_weights_are_refused():
+    with pytest.raises(InputError, match="time constant"):
+        AverageSettings(time_constant_s=0.0)
     for weights in ([0.5, 0.4], [np.nan, 1.0], []):
         with pytest.raises(InputError, match="sum to one"):
             smooth(poses(1), np.array(weights))
         with pytest.raises(InputError, match="sum to one"):
-            CausalAverage(np.array(weights))
+            AverageSettings(weights=tuple(weights))
     assert DEFAULT_WEIGHTS.sum() == pytest.approx(1)
 
 
@@ -125,14 +129,20 @@ def test_bad_sequences_are_refused():
         fit_weights([one, two], [one, two], max_previous=5)
 
 
-def test_weights_for_a_frame_rate_keep_the_lag_in_time():
-    slow, fast = weights_for(1 / 10), weights_for(1 / 60)
-    for weights in (slow, fast):
-        assert weights.sum() == pytest.approx(1)
-        assert (np.diff(weights) < 0).all()
-    assert slow[0] > 0.9
-    lag_30 = (weights_for(1 / 30) * np.arange(len(weights_for(1 / 30)))).sum() / 30
-    lag_60 = (fast * np.arange(len(fast))).sum() / 60
-    assert lag_60 == pytest.approx(lag_30, rel=0.5)
-    with pytest.raises(InputError):
-        weights_for(0.0)
+@pytest.mark.parametrize("rate", [30, 60, 90])
+def test_an_average_by_time_lags_alike_at_any_frame_rate(rate):
+    average = Average()
+    for i in range(20):
+        found = average(Pose(round(i / rate * 1e9), np.full((18, 3), i / rate), np.ones(18))).joints
+    assert 19 / rate - found[0, 0] == pytest.approx(average.latency_s)
+    # At 90 frames a second the oldest of them is not old enough to have lost all weight.
+    assert 0.015 < average.latency_s < 0.035
+
+
+def test_an_average_by_time_gives_lost_frames_their_age():
+    average = Average(AverageSettings(time_constant_s=0.1))
+    average(Pose(0, np.zeros((18, 3)), np.ones(18)))
+    found = average(Pose(100_000_000, np.ones((18, 3)), np.ones(18)))
+    np.testing.assert_allclose(found.joints, 1 / (1 + np.exp(-1)))
+    again = average(Pose(0, np.full((18, 3), 5.0), np.ones(18)))  # time goes back: another stream
+    np.testing.assert_allclose(again.joints, 5)

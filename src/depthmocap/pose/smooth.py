@@ -9,6 +9,7 @@ is missing now stays missing: gaps are marked, never filled. Weights belong to o
 from __future__ import annotations
 
 import collections
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,33 +18,16 @@ from numpy import ndarray
 from scipy.optimize import nnls
 
 from depthmocap.errors import InputError
+from depthmocap.frames import Pose
+from depthmocap.pose.filter import PoseFilter
 from depthmocap.pose.ridge import grouped_folds
 
 #: Current estimate first. A mean delay of 0.7 frames, 23 ms at 30 frames a second; white noise falls to 0.62 of itself.
 DEFAULT_WEIGHTS = np.array([0.5, 0.3, 0.2])
-#: Time constant (seconds) of ``weights_for``: about what the default weights have at 30 frames a second.
-TIME_CONSTANT_S = 0.04
 #: With less than this share of the weights present, rescaling would blow them up; the current estimate is taken as is.
 _LEAST_SHARE = 0.05
-
-
-def weights_for(
-    period_s: float, time_constant_s: float = TIME_CONSTANT_S, max_previous: int = 6
-) -> Float64[ndarray, "k"]:
-    """Weights λⱼ ∝ exp(−j·period/τ) for a frame period in seconds: the same lag in time at any frame rate.
-
-    Weights under 2 % are dropped: at 10 frames a second and slower little but the current estimate is left, because
-    the previous one is of another posture.
-
-    Raises:
-        InputError: when the period or the time constant is not positive.
-    """
-    if not (period_s > 0 and time_constant_s > 0):
-        raise InputError(f"period and time constant must be positive, got {period_s} and {time_constant_s} s")
-    weights = np.exp(-np.arange(max_previous + 1) * period_s / time_constant_s)
-    weights /= weights.sum()
-    kept = weights[weights >= 0.02]
-    return kept / kept.sum()
+#: Estimates that an average by time looks back on; at 60 frames a second the last has 8 % of the first's weight.
+_MOST = 7
 
 
 def smooth(
@@ -67,26 +51,65 @@ def smooth(
     return np.where(seen, smoothed, np.nan)
 
 
-class CausalAverage:
-    """``smooth`` for a live stream: give it each pose as it comes, NaN where joints are missing.
+@dataclasses.dataclass(frozen=True)
+class AverageSettings:
+    """The average's weights.
 
-    Raises:
-        InputError: when the weights are not finite or do not sum to one.
+    Attributes:
+        time_constant_s: an estimate counts for exp(−age / this): the same lag in time at any frame rate, also where
+            frames are lost.
+        weights: of the current and the previous estimates instead, as in the paper; they belong to one frame rate.
     """
 
-    def __init__(self, weights: Float[ndarray, "k"] = DEFAULT_WEIGHTS) -> None:
-        _check(weights)
-        self._weights = weights
-        self._poses: collections.deque[ndarray] = collections.deque(maxlen=len(weights))
+    time_constant_s: float = 0.04
+    weights: tuple[float, ...] | None = None
 
-    def __call__(self, pose: Float[ndarray, "18 3"]) -> Float64[ndarray, "18 3"]:
-        """The smoothed pose of this instant."""
-        self._poses.append(pose.astype(np.float64))
-        return smooth(np.stack(self._poses), self._weights)[-1]
+    def __post_init__(self) -> None:
+        if not self.time_constant_s > 0:
+            raise InputError(f"average: the time constant must be above 0, got {self.time_constant_s} s")
+        if self.weights is not None:
+            _check(np.array(self.weights))
+
+
+class Average(PoseFilter):
+    """The weighted average for a stream."""
+
+    def __init__(self, settings: AverageSettings = AverageSettings()) -> None:
+        self._settings = settings
+        self._poses: collections.deque[Pose] = collections.deque(maxlen=len(settings.weights or range(_MOST)))
+
+    @property
+    def settings(self) -> AverageSettings:
+        """The weights."""
+        return self._settings
+
+    @property
+    def latency_s(self) -> float:
+        """The mean age of what is averaged, at the rate of the last frames (30 a second before there are two)."""
+        stamps = [pose.timestamp_ns for pose in self._poses]
+        period_s = float(np.median(np.diff(stamps))) / 1e9 if len(stamps) > 1 else 1 / 30
+        ages = np.arange(len(self._settings.weights or range(_MOST))) * period_s
+        return float(self._weights(ages) @ ages)
+
+    def __call__(self, pose: Pose) -> Pose:
+        """See :class:`PoseFilter`."""
+        if self._poses and pose.timestamp_ns < self._poses[-1].timestamp_ns:
+            self.reset()
+        self._poses.append(pose)
+        stamps = np.array([each.timestamp_ns for each in self._poses])
+        weights = self._weights((pose.timestamp_ns - stamps[::-1]) / 1e9)
+        joints = smooth(np.stack([each.joints for each in self._poses]), weights)[-1]
+        return dataclasses.replace(pose, joints=joints)
 
     def reset(self) -> None:
-        """Forget the past: after a pause, or when another person enters."""
+        """See :class:`PoseFilter`."""
         self._poses.clear()
+
+    def _weights(self, ages_s: Float64[ndarray, "frames"]) -> Float64[ndarray, "k"]:
+        if self._settings.weights is not None:
+            return np.array(self._settings.weights)
+        weights = np.exp(-ages_s / self._settings.time_constant_s)
+        return weights / weights.sum()
 
 
 def fit_weights(

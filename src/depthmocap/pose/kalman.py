@@ -1,0 +1,167 @@
+"""A Kalman filter for every joint.
+
+A joint's velocity is an Ornstein–Uhlenbeck process: it keeps its direction for a while (``memory_s``) and dies away,
+with a usual size (``speed_mps``) that it returns to. For frames that are near to each other this is the
+constant-velocity model; over a gap the prediction comes to rest instead of flying off. With a = exp(−t/τ) and
+q = 2 speed² / τ:
+
+    position += τ (1 − a) velocity,  velocity ·= a
+    Q = [ q τ² (t − 2τ(1 − a) + τ(1 − a²)/2),  q τ² (1 − a)² / 2 ;  ·,  q τ (1 − a²) / 2 ]
+
+The noise of a measurement follows from its confidence. One that is far outside of what is expected counts for less, in
+the measure that it is outside; when a joint stays there, it is believed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float64
+from numpy import ndarray
+
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.errors import InputError
+from depthmocap.frames import Pose
+from depthmocap.pose.filter import FORGET_S, PoseFilter, seen_joints
+
+#: Confidence of a joint that was not seen in the frame, but bridged.
+BRIDGED = 0.05
+
+
+@dataclasses.dataclass(frozen=True)
+class KalmanSettings:
+    """How joints move, and how well they are measured.
+
+    Attributes:
+        speed_mps: usual speed along an axis.
+        memory_s: how long a velocity lasts.
+        sure_m, unsure_m: error of a measurement along an axis with confidence 1 and 0; between them geometrically.
+        outlier: deviations from what is expected beyond which a measurement counts for less.
+        restart_s: a joint that is so long beyond that is believed.
+        bridge_s: a joint that is missing is predicted for so long, with confidence ``BRIDGED``; 0 leaves gaps.
+    """
+
+    speed_mps: float = 0.5
+    memory_s: float = 0.2
+    sure_m: float = 0.01
+    unsure_m: float = 0.1
+    outlier: float = 4.0
+    restart_s: float = 0.2
+    bridge_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive = (self.speed_mps, self.memory_s, self.sure_m, self.unsure_m, self.outlier)
+        if not (min(positive) > 0 and self.restart_s >= 0 and self.bridge_s >= 0):
+            raise InputError(f"Kalman filter: values must be above 0, restart and bridge at least 0; got {self}")
+        if self.bridge_s > FORGET_S:
+            raise InputError(f"gaps are bridged for {FORGET_S} s at most, not {self.bridge_s} s")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Belief:
+    """Position and velocity of every joint with their covariance, which is one for all axes; NaN where not known."""
+
+    mean: Float64[ndarray, "18 2 3"]
+    covariance: Float64[ndarray, "18 2 2"]
+
+    @classmethod
+    def nothing(cls) -> Belief:
+        """Of no joint."""
+        return cls(np.full((len(JOINTS), 2, 3), np.nan), np.full((len(JOINTS), 2, 2), np.nan))
+
+    def where(self, mask: Bool[ndarray, "18"], other: Belief) -> Belief:
+        """This one for the joints marked, the other for the rest."""
+        mask = mask[:, None, None]
+        return Belief(np.where(mask, self.mean, other.mean), np.where(mask, self.covariance, other.covariance))
+
+
+def transition(settings: KalmanSettings, period_s: float) -> tuple[Float64[ndarray, "2 2"], Float64[ndarray, "2 2"]]:
+    """How (position, velocity) go on over a time (s), and the covariance of what is added to them."""
+    tau, kept = settings.memory_s, np.exp(-period_s / settings.memory_s)
+    q = 2 * settings.speed_mps**2 / tau
+    position = q * tau**2 * (period_s - 2 * tau * (1 - kept) + tau * (1 - kept**2) / 2)
+    both, velocity = q * tau**2 * (1 - kept) ** 2 / 2, q * tau * (1 - kept**2) / 2
+    return np.array([[1, tau * (1 - kept)], [0, kept]]), np.array([[position, both], [both, velocity]])
+
+
+class Kalman(PoseFilter):
+    """The filter; a joint that was away for ``FORGET_S`` starts anew.
+
+    Attributes:
+        predicted, step, belief: of the last frame: what was expected, the transition to it, and what is now believed.
+        began: the joints that started anew in it, which have no past.
+        shown: the joints that were seen in it, or are bridged.
+    """
+
+    def __init__(self, settings: KalmanSettings = KalmanSettings()) -> None:
+        self._settings = settings
+        self.reset()
+
+    @property
+    def settings(self) -> KalmanSettings:
+        """The model."""
+        return self._settings
+
+    @property
+    def latency_s(self) -> float:
+        """None by design: a velocity that lasts is followed without lag."""
+        return 0.0
+
+    def reset(self) -> None:
+        """See :class:`PoseFilter`."""
+        self.belief = self.predicted = Belief.nothing()
+        self.step = np.eye(2)
+        self.began, self.shown = np.zeros((2, len(JOINTS)), bool)
+        self._now_ns: int | None = None
+        self._seen_ns = np.zeros(len(JOINTS), np.int64)
+        self._fitting_ns = np.zeros(len(JOINTS), np.int64)
+
+    def __call__(self, pose: Pose) -> Pose:
+        """See :class:`PoseFilter`."""
+        self.update(pose)
+        return self.estimate(pose, self.belief, self.shown)
+
+    def estimate(self, measured: Pose, belief: Belief, shown: Bool[ndarray, "18"]) -> Pose:
+        """What is believed about the time of a measured pose; NaN but for the joints shown."""
+        joints = np.where(shown[:, None], belief.mean[:, 0], np.nan)
+        bridged = shown & ~seen_joints(measured)
+        return Pose(measured.timestamp_ns, joints, np.where(bridged, BRIDGED, measured.confidence))
+
+    def update(self, pose: Pose) -> None:
+        """Take the measurements of a frame."""
+        settings, now_ns = self._settings, pose.timestamp_ns
+        if self._now_ns is not None and now_ns < self._now_ns:
+            self.reset()
+        self.step, added = transition(settings, 0.0 if self._now_ns is None else (now_ns - self._now_ns) / 1e9)
+        mean, covariance = self.step @ self.belief.mean, self.step @ self.belief.covariance @ self.step.T + added
+        away_s = (now_ns - self._seen_ns) / 1e9
+        lost = away_s > FORGET_S
+        self.predicted = Belief.nothing().where(lost, Belief(mean, covariance))
+
+        seen, joints = seen_joints(pose), pose.joints.astype(np.float64)
+        sure = np.clip(pose.confidence.astype(np.float64), 0, 1)
+        noise = (settings.sure_m**sure * settings.unsure_m ** (1 - sure)) ** 2
+        known = np.isfinite(self.predicted.mean).all((1, 2))
+        surprise = joints - self.predicted.mean[:, 0]
+        expected = self.predicted.covariance[:, 0, 0] + noise
+        # Mean over the axes of the squared deviation, in units of what is expected.
+        excess = (surprise**2).mean(1) / expected / settings.outlier**2
+        outlying = seen & known & (excess > 1)
+        self._fitting_ns[~outlying] = now_ns
+        stuck = outlying & ((now_ns - self._fitting_ns) / 1e9 >= settings.restart_s)
+        self.began = seen & (~known | stuck)
+        start = Belief(
+            np.stack([joints, np.zeros_like(joints)], 1),
+            noise[:, None, None] * np.diag([1.0, 0.0]) + np.diag([0.0, settings.speed_mps**2]),
+        )
+        doubted = noise * np.where(outlying, excess, 1)
+        gain = self.predicted.covariance[:, :, 0] / (self.predicted.covariance[:, 0, 0] + doubted)[:, None]
+        updated = Belief(
+            self.predicted.mean + gain[:, :, None] * surprise[:, None],
+            self.predicted.covariance - gain[:, :, None] * self.predicted.covariance[:, None, 0],
+        )
+        self.belief = start.where(self.began, updated.where(seen, self.predicted))
+        bridged = np.isfinite(self.belief.mean).all((1, 2)) & (away_s <= settings.bridge_s)
+        self.shown = seen | bridged
+        self._seen_ns[seen] = self._fitting_ns[self.began] = self._now_ns = now_ns

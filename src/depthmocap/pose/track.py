@@ -1,0 +1,81 @@
+"""Poses over time: the filter a user asks for by name, behind the guard of the sides."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Literal
+
+from depthmocap.errors import InputError
+from depthmocap.frames import Pose
+from depthmocap.pose.filter import PoseFilter
+from depthmocap.pose.fixed_lag import FixedLag, FixedLagSettings
+from depthmocap.pose.kalman import Kalman, KalmanSettings
+from depthmocap.pose.one_euro import OneEuro
+from depthmocap.pose.sides import SideGuard, SideSettings
+from depthmocap.pose.smooth import Average
+
+FilterName = Literal["average", "one-euro", "kalman", "fixed-lag"]
+Smoothing = Literal["auto", "none", "average", "one-euro", "kalman", "fixed-lag"]
+#: What "auto" stands for where frames follow each other; see docs/smoothing.md for the measurement.
+AUTO: FilterName = "kalman"
+
+
+class Tracker(PoseFilter):
+    """A filter whose poses have kept their sides (see ``pose.sides``)."""
+
+    def __init__(self, inner: PoseFilter, sides: SideSettings | None = None) -> None:
+        self._inner, self._guard = inner, SideGuard(sides)
+        self.delay_frames = inner.delay_frames
+
+    @property
+    def settings(self) -> Any:
+        """The filter's."""
+        return self._inner.settings
+
+    @property
+    def latency_s(self) -> float:
+        """The filter's."""
+        return self._inner.latency_s
+
+    def __call__(self, pose: Pose) -> Pose:
+        """See :class:`PoseFilter`."""
+        return self._inner(self._guard(pose))
+
+    def reset(self) -> None:
+        """See :class:`PoseFilter`."""
+        self._guard.reset()
+        self._inner.reset()
+
+    def finish(self) -> list[Pose]:
+        """See :class:`PoseFilter`."""
+        self._guard.reset()
+        return self._inner.finish()
+
+    def describe(self) -> dict[str, Any]:
+        """See :class:`PoseFilter`."""
+        return {**self._inner.describe(), "sides": dataclasses.asdict(self._guard.settings)}
+
+
+def load_filter(name: FilterName, lag_frames: int = FixedLagSettings().frames, bridge_s: float = 0.0) -> Tracker:
+    """A filter by name, with the guard of the sides.
+
+    Args:
+        lag_frames: that "fixed-lag" waits for.
+        bridge_s: how long "kalman" and "fixed-lag" go on with a joint that is missing; 0 leaves gaps.
+
+    Raises:
+        InputError: for another name, or a setting out of range or not of this filter.
+    """
+    if bridge_s and name not in ("kalman", "fixed-lag"):
+        raise InputError(f"gaps are bridged by the filters kalman and fixed-lag, not by {name}")
+    model = KalmanSettings(bridge_s=bridge_s)
+    match name:
+        case "average":
+            return Tracker(Average())
+        case "one-euro":
+            return Tracker(OneEuro())
+        case "kalman":
+            return Tracker(Kalman(model))
+        case "fixed-lag":
+            return Tracker(FixedLag(FixedLagSettings(lag_frames, model)))
+    raise InputError(f"--smooth takes auto, none, average, one-euro, kalman or fixed-lag, not {name!r}")
