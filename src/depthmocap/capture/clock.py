@@ -40,10 +40,8 @@ class ClockTracker:
         restarts: jumps found so far.
     """
 
-    def __init__(self, latency_s: float = 0.0) -> None:
-        """``latency_s``: the camera's least time from exposure to arrival, where it is known."""
+    def __init__(self) -> None:
         self.restarts = 0
-        self._latency_s = latency_s
         self._suspects: list[tuple[float, int, int]] = []
         self._begun = False
 
@@ -74,7 +72,7 @@ class ClockTracker:
         if not self._begun:
             raise ValueError("no pair of timestamps was given yet: call update first")
         since_s = (device_ns - self._device0) * 1e-9
-        return self._arrival0 + (device_ns - self._device0) + round((self._line(since_s) - self._latency_s) * 1e9)
+        return self._arrival0 + (device_ns - self._device0) + round(self._line(since_s) * 1e9)
 
     def update(self, device_ns: int, arrival_ns: int) -> int | None:
         """Take one frame's pair; gives its host time of exposure, or None while its clock seems to have jumped."""
