@@ -55,6 +55,8 @@ _COMMANDS = (
              "accuracy on Berkeley MHAD, every person by a fit to the others"),
     _Command("evaluate labels", "depthmocap.evaluate.labels", "LabelsEvaluation", "evaluate_labels",
              "confusion, swapped limbs and calibration of a classifier's labels"),
+    _Command("evaluate estimators", "depthmocap.evaluate.estimators", "EstimatorComparison", "compare_estimators",
+             "ridge, LASSO, a small network and votes on the same samples", "train"),
     _Command("evaluate labels2d", "depthmocap.evaluate.labels2d", "Labels2dEvaluation", "evaluate_labels2d",
              "labels of real depth against joints found in colour"),
 )  # fmt: skip

@@ -11,7 +11,7 @@ from depthmocap.cli import main
 from depthmocap.datasets.itop import JOINTS, OURS, Itop, camera
 
 h5py = pytest.importorskip("h5py")
-TRAIN, TEST = 24, 6
+TRAIN, TEST = 16, 6
 SHIFT_M = np.array([0.0, 0.03, 0.0])
 
 

@@ -6,10 +6,12 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import Protocol, runtime_checkable
 
-from jaxtyping import Float
+import numpy as np
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from depthmocap.frames import View
+from depthmocap.geometry import transform_points
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -66,3 +68,21 @@ class AnnotatedSet(Protocol):
         ...
 
     def __iter__(self) -> Iterator[AnnotatedFrame]: ...
+
+
+#: How far the body reaches beyond its joints: hands, feet, the top of the head (metres).
+REACH_M = 0.3
+
+
+def near_joints(view: View, joints_world: Float[ndarray, "j 3"]) -> Bool[ndarray, "h w"]:
+    """Pixels within ``REACH_M`` of the box around the known joints, along the camera's axes: a mask for sets without
+    one. It takes the place of a person detector, as the boxes do that others crop by the truth; none where no joint
+    is known."""
+    joints = transform_points(view.camera.camera_from_world, joints_world[np.isfinite(joints_world).all(1)])
+    if not len(joints):
+        return np.zeros(view.depth_m.shape, bool)
+    low, high = joints.min(0) - REACH_M, joints.max(0) + REACH_M
+    z = view.depth_m
+    across = view.camera.rays * z[..., None]
+    inside = (across >= low[:2]).all(-1) & (across <= high[:2]).all(-1)
+    return inside & (z > 0) & (z >= low[2]) & (z <= high[2])

@@ -20,13 +20,15 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from depthmocap.datasets.annotated import AnnotatedFrame
+from depthmocap.datasets.annotated import AnnotatedFrame, near_joints
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera, transform_points
 
 Side = Literal["side", "top"]
 Split = Literal["train", "test"]
+#: How the person is told from the room: by the set's segmentation, or by a box around the true joints.
+Mask = Literal["segmentation", "box"]
 
 JOINTS: tuple[str, ...] = (
     "Head", "Neck", "RShoulder", "LShoulder", "RElbow", "LElbow", "RHand", "LHand", "Torso",
@@ -56,10 +58,10 @@ def camera(view: Side) -> DepthCamera:
 class Itop:
     """The valid frames of one view and split; see ``AnnotatedSet``. Others have no joints that were checked by hand.
 
-    The person's mask is the set's segmentation. Frames are read from disk as they are asked for.
+    Frames are read from disk as they are asked for.
     """
 
-    def __init__(self, root: Path, view: Side = "side", split: Split = "test") -> None:
+    def __init__(self, root: Path, view: Side = "side", split: Split = "test", mask: Mask = "segmentation") -> None:
         """Open the files and match their frames.
 
         Raises:
@@ -68,7 +70,7 @@ class Itop:
         self.name = f"ITOP {view} {split}"
         self.joints, self.ours = JOINTS, OURS
         self.up, self.fps = _UP[view], FPS
-        self._camera = camera(view)
+        self._camera, self._mask = camera(view), mask
         # Ordered sets: reading a frame twice reports it once.
         self._problems: dict[str, None] = {}
         self._empty: dict[str, None] = {}
@@ -102,20 +104,24 @@ class Itop:
 
     def __iter__(self) -> Iterator[AnnotatedFrame]:
         for frame in self._frames:
+            joints = self._joints_world(frame.label_row)
             try:
-                views = (self._view(frame),)
+                views = (self._view(frame, joints),)
             except InputError as error:
                 self._problems[str(error)] = None
                 views = ()
-            yield AnnotatedFrame(views, self._joints_world(frame.label_row), frame.person, "", frame.number)
+            yield AnnotatedFrame(views, joints, frame.person, "", frame.number)
 
-    def _view(self, frame: _Frame) -> View:
+    def _view(self, frame: _Frame, joints_world: Float[ndarray, "15 3"]) -> View:
         depth_m = _read(self._depth_path, self._depth, frame.depth_row).astype(np.float32)
-        mask = _read(self._labels_path, self._segmentation, frame.label_row).astype(np.int8) >= 0
-        depth_m = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.float32(0))
-        if not (mask & (depth_m > 0)).any():
+        view = View(self._camera, np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.float32(0)))
+        if self._mask == "box":
+            mask = near_joints(view, joints_world)
+        else:
+            mask = _read(self._labels_path, self._segmentation, frame.label_row).astype(np.int8) >= 0
+        if not (mask & (view.depth_m > 0)).any():
             self._empty[frame.id] = None
-        return View(self._camera, depth_m, mask)
+        return dataclasses.replace(view, mask=mask)
 
     def _joints_world(self, row: int) -> Float[ndarray, "15 3"]:
         joints = self._joints[row]

@@ -21,6 +21,7 @@ from depthmocap.evaluate.charts import joint_error_bars, precision_curve, reliab
 from depthmocap.evaluate.metrics import JointMetrics, Reliability
 from depthmocap.evaluate.report import Cell, ReportFigure, ReportSection, ReportTable, write_report
 from depthmocap.export.output import writing
+from depthmocap.settings import plain_settings
 
 Numbers = Mapping[str, Any]
 
@@ -55,6 +56,15 @@ class Outputs:
     json: Path | None = None
     csv: Path | None = None
     report: Path | None = None
+
+
+def about(settings: Outputs) -> dict[str, Any]:
+    """What an evaluation's numbers depend on besides the data: the version, and all settings but its files."""
+    from depthmocap import __version__
+
+    files = {field.name for field in dataclasses.fields(Outputs)}
+    kept = {key: value for key, value in plain_settings(settings).items() if key not in files}
+    return {"depthmocap": __version__, **kept}
 
 
 def measures(numbers: Numbers) -> dict[str, tuple[int | float, str]]:
@@ -166,9 +176,12 @@ def report_sections(results: Mapping[str, Numbers]) -> list[ReportSection]:
     )
     sections = [ReportSection("Numbers", tables=(table,), figures=(curves,))]
     sections += [_section(name, numbers, metrics[name]) for name, numbers in results.items()]
-    about = {name: numbers["about"] for name, numbers in results.items() if "about" in numbers}
     problems = dict.fromkeys(problem for numbers in results.values() for problem in numbers.get("problems", []))
-    notes = [f"{name}: {', '.join(f'{k} {v}' for k, v in each.items())}." for name, each in about.items()]
+    notes = [
+        f"{name}: {', '.join(f'{k} {v}' for k, v in numbers['about'].items() if v is not None)}."
+        for name, numbers in results.items()
+        if "about" in numbers
+    ]
     if problems:
         notes += ["Noticed while reading: " + "\n".join(problems)]
     if notes:
@@ -198,7 +211,8 @@ def _section(name: str, numbers: Numbers, metrics: JointMetrics) -> ReportSectio
         if numbers.get(key)
     ]
     figures = [ReportFigure(joint_error_bars(metrics), "Mean error of each joint, with its deviation.", chart=True)]
-    if confidence := numbers.get("reliability"):
+    confidence = numbers.get("reliability")
+    if confidence and confidence["joints"]:
         figures.append(
             ReportFigure(
                 reliability_diagram({name: Reliability(**confidence)}),

@@ -10,8 +10,8 @@ import tyro
 from rich.console import Console
 
 from depthmocap.classify.runtime import Classifier
-from depthmocap.datasets.itop import PARTS, Itop, Side
-from depthmocap.evaluate.evaluation_report import Outputs, print_results, write_outputs
+from depthmocap.datasets.itop import PARTS, Itop, Mask, Side
+from depthmocap.evaluate.evaluation_report import Outputs, about, print_results, write_outputs
 from depthmocap.evaluate.observe import observe
 from depthmocap.evaluate.protocol import Refit, comparable, measure_estimates
 from depthmocap.evaluate.refit import fit_joints
@@ -26,6 +26,7 @@ class ItopEvaluation(Outputs):
         root: folder with ITOP_<view>_<split>_depth_map.h5 and ITOP_<view>_<split>_labels.h5.
         view: "side"; or "top", from where the network never saw people in training.
         refit: "ridge" fits ITOP's joints on its train split; "none" takes our joints as they are.
+        mask: "segmentation" is the set's own; "box" takes what is near the true joints, where that is wrong.
         every: read every so-many-th frame only.
         weights: a classifier.onnx of your own.
         estimator: of our joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
@@ -34,6 +35,7 @@ class ItopEvaluation(Outputs):
     root: tyro.conf.Positional[Path]
     view: Side = "side"
     refit: Refit = "ridge"
+    mask: Mask = "segmentation"
     every: int = 1
     weights: Path | None = None
     estimator: str = "votes"
@@ -47,8 +49,8 @@ def evaluate_itop(settings: ItopEvaluation, console: Console | None = None) -> d
     """
     console = console or Console(stderr=True)
     # Both are opened before an hour is spent on one of them.
-    test = Itop(settings.root, settings.view, "test")
-    train = Itop(settings.root, settings.view, "train") if settings.refit == "ridge" else None
+    test = Itop(settings.root, settings.view, "test", settings.mask)
+    train = Itop(settings.root, settings.view, "train", settings.mask) if settings.refit == "ridge" else None
     classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)
     joint_map = None
     if train is not None:
@@ -56,8 +58,7 @@ def evaluate_itop(settings: ItopEvaluation, console: Console | None = None) -> d
     found = comparable(observe(test, estimator, classifier, settings.every, console), settings.refit)
     estimates = found.mapped() if joint_map is None else joint_map(found)
     name = f"ITOP {settings.view}"
-    about = {"view": settings.view, "refit": settings.refit, "every": settings.every, "estimator": settings.estimator}
-    results = {name: {"about": about, **measure_estimates(found, estimates, PARTS)}}
+    results = {name: {"about": about(settings), **measure_estimates(found, estimates, PARTS)}}
     write_outputs(settings, name, results)
     print_results(name, results, console)
     return results
