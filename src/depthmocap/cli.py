@@ -47,6 +47,8 @@ _COMMANDS = (
              "accuracy on UBC3V or a set of its layout"),
     _Command("evaluate bench", "depthmocap.evaluate.bench", "BenchEvaluation", "evaluate_bench",
              "accuracy on the project's own test sets, made anew", "train"),
+    _Command("evaluate recording", "depthmocap.evaluate.recording", "RecordingEvaluation", "evaluate_recording",
+             "accuracy of run on a recording with true joints"),
     _Command("evaluate itop", "depthmocap.evaluate.itop", "ItopEvaluation", "evaluate_itop",
              "accuracy on ITOP, after a refit to its joints"),
     _Command("evaluate eval", "depthmocap.evaluate.eval3d", "EvalEvaluation", "evaluate_eval",
@@ -59,6 +61,8 @@ _COMMANDS = (
              "ridge, LASSO, a small network and votes on the same samples", "train"),
     _Command("evaluate labels2d", "depthmocap.evaluate.labels2d", "Labels2dEvaluation", "evaluate_labels2d",
              "labels of real depth against joints found in colour"),
+    _Command("compare", "depthmocap.evaluate.compare", "Comparison", "compare",
+             "the numbers of two evaluations side by side"),
 )  # fmt: skip
 
 

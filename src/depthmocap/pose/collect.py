@@ -116,6 +116,15 @@ def collect(settings: PoseSamples, folder: Path, console: Console | None = None)
     return _read([file for file in files if file.exists()], settings)
 
 
+def read_samples(folder: Path, settings: PoseSamples) -> Collected:
+    """What was collected in a folder; of the settings only the views matter.
+
+    Raises:
+        InputError: when the folder holds no samples, or none of so many views.
+    """
+    return _read(sorted(folder.glob("[0-9]*.npz")), settings)
+
+
 def _samples(settings: PoseSamples, first: int) -> Generator[Sample, None, None]:
     if settings.data == "synth":
         recipe = Recipe(
@@ -203,7 +212,10 @@ def _read(files: list[Path], settings: PoseSamples) -> Collected:
         except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
             raise InputError(f"{file} cannot be read ({error}): remove it, and it is made again") from None
     if not chunks:
-        raise InputError(f"{settings.data}: no samples with joints")
+        raise InputError("no samples with joints: give a folder that train pose collected, or data that has joints")
+    lacking = [count for count in settings.views if f"features true {count}" not in chunks[0]]
+    if lacking:
+        raise InputError(f"{files[0].parent} has no features of {lacking} views: collect them with --views")
     all_of = {name: np.concatenate([chunk[name] for chunk in chunks]) for name in chunks[0]}
     return Collected(
         {labels: all_of[f"parts {labels}"] for labels in LABELS},

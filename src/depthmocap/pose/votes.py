@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import importlib.resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINTS
@@ -15,6 +16,9 @@ from depthmocap.geometry import z_up_from
 from depthmocap.pose.cloud import LabelledCloud
 from depthmocap.pose.estimate import MIN_CLOUD_POINTS
 from depthmocap.pose.parts import body_frame, network_inputs, part_statistics
+
+if TYPE_CHECKING:
+    import onnxruntime
 
 
 class VotesEstimator:
@@ -31,21 +35,9 @@ class VotesEstimator:
         Raises:
             InputError: when the file is missing or not such a network.
         """
-        import onnxruntime
-
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1  # too small to share
-        options.log_severity_level = 3
-        source = path or Path(str(importlib.resources.files("depthmocap.pose") / "weights" / "votes.onnx"))
-        if not source.is_file():
-            raise InputError(f"{source} not found: give the votes.onnx of a training run")
-        try:
-            self._session = onnxruntime.InferenceSession(str(source), options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # the runtime's errors share no public base class
-            raise InputError(f"{source} is not a readable ONNX network: {str(error).splitlines()[0]}") from None
-        names = [node.name for node in self._session.get_inputs()], [node.name for node in self._session.get_outputs()]
-        if names != (["parts"], ["joints", "sure"]):
-            raise InputError(f"{source} is not a voting network: its inputs and outputs are {names}")
+        self._session = voting_session(
+            path or Path(str(importlib.resources.files("depthmocap.pose") / "weights" / "votes.onnx"))
+        )
 
     def __call__(self, cloud: LabelledCloud, up: str = "z") -> tuple[Float64[ndarray, "18 3"], Float64[ndarray, "18"]]:
         """Joints in the world (metres) and their confidence; NaN and 0 where hardly anything was seen.
@@ -59,6 +51,36 @@ class VotesEstimator:
         inputs, seen = network_inputs(parts, frame := body_frame(parts))
         if not seen.any():
             return np.full((len(JOINTS), 3), np.nan), np.zeros(len(JOINTS))
-        joints, sure = self._session.run(None, {"parts": inputs[None]})
-        found = frame.to_world(np.asarray(joints)[0].astype(np.float64)) @ z_up_from(up)
-        return found, 1 / (1 + np.exp(-np.asarray(sure)[0].astype(np.float64)))
+        joints, confidence = run_votes(self._session, inputs[None])
+        return frame.to_world(joints[0]) @ z_up_from(up), confidence[0]
+
+
+def voting_session(source: Path) -> onnxruntime.InferenceSession:
+    """A votes.onnx, ready to run.
+
+    Raises:
+        InputError: when the file is missing or not such a network.
+    """
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1  # too small to share
+    options.log_severity_level = 3
+    if not source.is_file():
+        raise InputError(f"{source} not found: give the votes.onnx of a training run")
+    try:
+        session = onnxruntime.InferenceSession(str(source), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # the runtime's errors share no public base class
+        raise InputError(f"{source} is not a readable ONNX network: {str(error).splitlines()[0]}") from None
+    names = [node.name for node in session.get_inputs()], [node.name for node in session.get_outputs()]
+    if names != (["parts"], ["joints", "sure"]):
+        raise InputError(f"{source} is not a voting network: its inputs and outputs are {names}")
+    return session
+
+
+def run_votes(
+    session: onnxruntime.InferenceSession, inputs: Float32[ndarray, "n views 43 16"]
+) -> tuple[Float64[ndarray, "n 18 3"], Float64[ndarray, "n 18"]]:
+    """Joints in the body's frame and their confidence, from what ``parts.network_inputs`` gives."""
+    joints, sure = (np.asarray(each, np.float64) for each in session.run(None, {"parts": inputs}))
+    return joints, 1 / (1 + np.exp(-sure))
