@@ -7,31 +7,29 @@ import dataclasses
 import json
 import math
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 import torch
-from numpy import ndarray
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from safetensors.torch import save_file
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from depthmocap.body.regions import UNLABELLED
-from depthmocap.classify.data import Spoiling, training_window
 from depthmocap.classify.export import export_onnx
 from depthmocap.classify.networks import NETWORKS, Network, masked_logits
-from depthmocap.classify.preprocess import make_window
+from depthmocap.classify.preprocess import NetworkName
+from depthmocap.classify.windows import Batches, WindowSource
 from depthmocap.errors import InputError
 from depthmocap.evaluate.metrics import PixelAccuracy
 from depthmocap.settings import check_seed, plain_settings
-from depthmocap.synth.motion.postures import TRAINING_VARIATION, posture_source
 from depthmocap.synth.sample import Subset
 
-#: What is validated and kept is an average of the weights over about 1 / (1 - this) steps.
-_AVERAGE = 0.998
+Optimiser = Literal["adamw", "sgd"]
+#: Learning rate and weight decay of each, where none are given.
+_RATES: dict[Optimiser, tuple[float, float]] = {"adamw": (2e-3, 0.02), "sgd": (0.03, 5e-4)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,11 +42,17 @@ class ClassifierTraining:
         postures: folder of motion capture clips, or a pool made of them; without it the packaged prior.
         subset: who is in the pictures: easy, inter, hard (as in the paper) or open (all builds); by default open
             bodies are made, and hard is read from a folder.
-        network: which network.
+        network: "fast" is ours; "paper" is the paper's, which by itself sees windows and pictures of the paper's kind.
         images: how many pictures to train on.
         minutes: stop after this much training instead (the learning rate then follows the clock), 0 for no limit.
         batch: pictures a step.
-        learning_rate: its peak; it falls to zero along a cosine.
+        optimiser: by default AdamW, and for the paper's network SGD, in which biases learn twice as fast.
+        learning_rate: its peak; by default 2e-3 with AdamW, 0.03 with SGD.
+        schedule: of the learning rate: it falls to zero along a cosine, or stays.
+        weight_decay: by default 0.02 with AdamW, 5e-4 (not of biases) with SGD.
+        momentum: of SGD.
+        average: what is validated and kept is an average of the weights over about 1 / (1 - this) steps; 0 for the
+            last weights.
         start: a .safetensors file to start from.
         workers: processes that make pictures; 0 makes them between steps.
         valid_every: pictures between two validations.
@@ -59,12 +63,16 @@ class ClassifierTraining:
     data: str = "synth"
     postures: Path | None = None
     subset: Subset | None = None
-    network: Literal["fast"] = "fast"
+    network: NetworkName = "fast"
     images: int = 100_000
     minutes: float = 0.0
     batch: int = 16
-    learning_rate: float = 2e-3
-    weight_decay: float = 0.02
+    optimiser: Optimiser | None = None
+    learning_rate: float | None = None
+    schedule: Literal["cosine", "constant"] = "cosine"
+    weight_decay: float | None = None
+    momentum: float = 0.9
+    average: float = 0.998
     start: Path | None = None
     seed: int = 0
     workers: int = 1
@@ -74,85 +82,14 @@ class ClassifierTraining:
     bfloat16: bool = True
 
     @property
-    def people(self) -> Subset:
-        """The subset, its default resolved."""
-        return self.subset or ("open" if self.data == "synth" else "hard")
-
-
-class _SynthWindows(torch.utils.data.Dataset):  # type: ignore[type-arg]
-    def __init__(self, settings: ClassifierTraining, first: int) -> None:
-        simple = settings.people == "easy"
-        self.settings, self.first = settings, first
-        self.postures = posture_source(settings.postures, "train", simple, TRAINING_VARIATION)
-
-    def __len__(self) -> int:
-        return 1 << 40
-
-    def __getitem__(self, index: int) -> tuple[ndarray, ndarray]:
-        return training_window(self.settings.seed, self.first + index, self.settings.people, self.postures, Spoiling())
-
-
-class _FolderWindows(torch.utils.data.Dataset):  # type: ignore[type-arg]
-    """Views of a UBC3V split in an order shuffled by the seed, over and over."""
-
-    def __init__(self, root: Path, settings: ClassifierTraining, split: str, first: int) -> None:
-        from depthmocap.datasets.ubc3v import CAMERAS, Section, sections
-
-        self.sections = [Section(path) for path in sections(root, f"{settings.people}-pose", split)]
-        self.index = [
-            (s, i, v)
-            for s, section in enumerate(self.sections)
-            for i in range(len(section))
-            for v in range(len(CAMERAS))
-        ]
-        self.order = np.random.default_rng(settings.seed).permutation(len(self.index))
-        self.first = first
-
-    def __len__(self) -> int:
-        return 1 << 40
-
-    def __getitem__(self, index: int) -> tuple[ndarray, ndarray]:
-        for attempt in range(100):  # a view may be missing or show nobody
-            s, i, v = self.index[self.order[(self.first + index + 7919 * attempt) % len(self.order)]]
-            views = self.sections[s][i].views
-            if v >= len(views) or views[v].mask is None or views[v].labels is None:
-                continue
-            window = make_window(views[v].depth_m, views[v].mask, views[v].camera)
-            if window is not None:
-                return window.inputs, window.labels_from_image(views[v].labels, UNLABELLED)
-        raise InputError("100 views in a row hold no labelled person: is this a UBC3V root with labels?")
-
-
-class _Batches(torch.utils.data.Sampler):  # type: ignore[type-arg]
-    def __init__(self, size: int) -> None:
-        self.size = size
-
-    def __iter__(self) -> Iterator[list[int]]:
-        start = 0
-        while True:
-            yield list(range(start, start + self.size))
-            start += self.size
-
-
-def _validation(settings: ClassifierTraining) -> tuple[Tensor, Tensor]:
-    """The fixed validation windows: postures of the valid split, bodies and noise of a seed of their own."""
-    if settings.data == "synth":
-        postures = posture_source(settings.postures, "valid", settings.people == "easy")
-        windows = [
-            training_window(settings.seed + 1_000_003, i, settings.people, postures, None)
-            for i in range(settings.valid_images)
-        ]
-    else:
-        folder = _FolderWindows(Path(settings.data), settings, "valid", 0)
-        windows = [folder[i] for i in range(min(settings.valid_images, len(folder.index)))]
-    return (
-        torch.from_numpy(np.stack([x for x, _ in windows])),
-        torch.from_numpy(np.stack([y for _, y in windows])),
-    )
+    def source(self) -> WindowSource:
+        """Where its windows come from."""
+        subset = self.subset or ("open" if self.data == "synth" else "hard")
+        return WindowSource(self.network, self.data, subset, self.postures, self.seed)
 
 
 def evaluate_windows(network: Network, inputs: Tensor, labels: Tensor, device: str = "cpu") -> PixelAccuracy:
-    """Accuracy over windows (n, 3, s, s) and labels (n, s, s) uint8, on the person's labelled pixels."""
+    """Accuracy over windows (n, c, s, s) and labels (n, s, s) uint8, on the person's labelled pixels."""
     network.eval()
     accuracy = PixelAccuracy()
     with torch.no_grad():
@@ -163,40 +100,65 @@ def evaluate_windows(network: Network, inputs: Tensor, labels: Tensor, device: s
     return accuracy
 
 
+def _make_optimiser(network: Network, settings: ClassifierTraining) -> torch.optim.Optimizer:
+    kind: Optimiser = settings.optimiser or ("sgd" if settings.network == "paper" else "adamw")
+    rate, decay = _RATES[kind]
+    rate = rate if settings.learning_rate is None else settings.learning_rate
+    decay = decay if settings.weight_decay is None else settings.weight_decay
+    if kind == "adamw":
+        groups: list[dict[str, Any]] = [{"params": list(network.parameters()), "peak": rate, "weight_decay": decay}]
+        return torch.optim.AdamW(groups, rate, betas=(0.9, 0.98))
+    named = list(network.named_parameters())
+    weights, biases = ([p for n, p in named if n.endswith("bias") == bias] for bias in (False, True))
+    groups = [
+        {"params": weights, "peak": rate, "weight_decay": decay},
+        {"params": biases, "peak": 2 * rate, "weight_decay": 0.0},
+    ]
+    return torch.optim.SGD(groups, rate, settings.momentum)
+
+
 def train_classifier(settings: ClassifierTraining) -> Path:
     """Train, or go on training, and export; returns the ONNX file.
 
-    The objective is the mean cross-entropy over the masked pixels whose label is known.
+    The objective is the mean cross-entropy over the pixels whose label is known: ours learns from the masked ones, the
+    paper's network from all of the window.
+
+    Raises:
+        InputError: data, postures or weights that cannot be read, or a folder that holds another network's run.
     """
     check_seed(settings.seed)
+    if not 0 <= settings.average < 1:
+        raise InputError(f"--average must be from 0 to less than 1, got {settings.average}")
     out = settings.out
     out.mkdir(parents=True, exist_ok=True)
     (out / "settings.json").write_text(json.dumps(plain_settings(settings), indent=1) + "\n")
     torch.manual_seed(settings.seed)
-    network = NETWORKS[settings.network]().to(settings.device).to(memory_format=torch.channels_last)  # pyright: ignore
+    network: Network = NETWORKS[settings.network]()
+    network.to(settings.device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     if settings.start is not None:
         load_weights(network, settings.start)
-    average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(_AVERAGE), use_buffers=True)
-    optimiser = torch.optim.AdamW(
-        network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, betas=(0.9, 0.98)
-    )
+    average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(settings.average), use_buffers=True)
+    optimiser = _make_optimiser(network, settings)
+    peaks = [group["peak"] for group in optimiser.param_groups]
     done, spent, history = 0, 0.0, []
     checkpoint = out / "checkpoint.pt"
     if checkpoint.exists():
         state = torch.load(checkpoint, map_location=settings.device, weights_only=True)
-        network.load_state_dict(state["network"])
-        average.load_state_dict(state["average"])
-        optimiser.load_state_dict(state["optimiser"])
+        try:
+            network.load_state_dict(state["network"])
+            average.load_state_dict(state["average"])
+            optimiser.load_state_dict(state["optimiser"])
+        except (RuntimeError, ValueError) as error:
+            raise InputError(
+                f"{checkpoint} is of another network or optimiser ({str(error).splitlines()[0]}): "
+                "use the same settings, or another --out"
+            ) from None
         done, spent, history = state["done"], state["spent"], json.loads(state["history"])
 
-    data = (
-        _SynthWindows(settings, done)
-        if settings.data == "synth"
-        else _FolderWindows(Path(settings.data), settings, "train", done)
-    )
-    valid_x, valid_y = _validation(settings)
+    data = settings.source.train(done)
+    valid_x, valid_y = settings.source.valid(settings.valid_images)
     loader = torch.utils.data.DataLoader(
-        data, batch_sampler=_Batches(settings.batch), num_workers=settings.workers,
+        data, batch_sampler=Batches(settings.batch), num_workers=settings.workers,
         prefetch_factor=6 if settings.workers else None,
         # Forking after OpenMP has run can hang the child.
         multiprocessing_context="spawn" if settings.workers else None,
@@ -221,14 +183,19 @@ def train_classifier(settings: ClassifierTraining) -> Path:
             share = _share(settings, done, spent)
             if share >= 1:
                 break
-            warm = min(1.0, (done + settings.batch) / 3200)
-            for group in optimiser.param_groups:
-                group["lr"] = settings.learning_rate * warm * 0.5 * (1 + math.cos(math.pi * share)) + 1e-6
+            factor = 1.0
+            if settings.schedule == "cosine":
+                factor = min(1.0, (done + settings.batch) / 3200) * 0.5 * (1 + math.cos(math.pi * share))
+            for group, peak in zip(optimiser.param_groups, peaks, strict=True):
+                group["lr"] = peak * factor + 1e-6
             network.train()
             x = x.to(settings.device).to(memory_format=torch.channels_last)
             y = y.to(settings.device)
             with torch.autocast(settings.device.split(":")[0], torch.bfloat16, enabled=settings.bfloat16):
-                chosen, truth = masked_logits(network, x, y, (x[:, 1] > 0) & (y != UNLABELLED))
+                known = y != UNLABELLED
+                chosen, truth = masked_logits(
+                    network, x, y, known if network.learns_background else known & (x[:, 1] > 0)
+                )
             loss = nn.functional.cross_entropy(chosen.float(), truth.long())
             optimiser.zero_grad()
             loss.backward()
@@ -240,11 +207,11 @@ def train_classifier(settings: ClassifierTraining) -> Path:
             spent += time.monotonic() - clock
             clock = time.monotonic()
             running.append(loss.item())
-            hits.append((chosen.argmax(1) == truth).float().mean().item())
+            hits.append((chosen.argmax(1) == truth)[truth > 0].float().mean().item())
             progress.update(task, completed=_share(settings, done, spent),
                             description=f"{done} images  loss {np.mean(running[-50:]):.3f}")  # fmt: skip
             if before // settings.valid_every != done // settings.valid_every:
-                accuracy = evaluate_windows(average.module, valid_x, valid_y, settings.device)
+                accuracy = evaluate_windows(cast(Network, average.module), valid_x, valid_y, settings.device)
                 row = {
                     "step": done, "minutes": spent / 60, "loss": float(np.mean(running)),
                     "train_pixel_accuracy": float(np.mean(hits)),
@@ -256,7 +223,8 @@ def train_classifier(settings: ClassifierTraining) -> Path:
                 save()
                 _write_history(out, history)
     save()
-    network = average.module.eval()
+    network.load_state_dict(average.module.state_dict())
+    network.eval()
     # Norms and biases are few and keep their range; kernels take half the space.
     half = {k: v.half() if v.is_floating_point() and v.ndim > 1 else v for k, v in network.cpu().state_dict().items()}
     save_file({k: v.contiguous() for k, v in half.items()}, out / "classifier.safetensors")

@@ -56,7 +56,7 @@ def reliability_diagram(calibration: Calibration) -> bytes:
 
 
 #: Depth (m) of a view, the person's mask, the true and the predicted labels.
-LabelExample = tuple[Float[ndarray, "h w"], Bool[ndarray, "h w"], UInt8[ndarray, "h w"], UInt8[ndarray, "h w"]]
+LabelExample = tuple[Float[ndarray, "_ _"], Bool[ndarray, "_ _"], UInt8[ndarray, "_ _"], UInt8[ndarray, "_ _"]]
 
 
 def label_grid(examples: Sequence[LabelExample]) -> UInt8[ndarray, "h w 3"]:

@@ -1,0 +1,163 @@
+"""The labelled windows that networks are trained and validated on, as torch data sets without an end (extra: train)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from numpy import ndarray
+from torch import Tensor
+from torch.utils.data import Dataset, Sampler
+
+from depthmocap.body.regions import UNLABELLED
+from depthmocap.classify.data import Spoiling, training_window
+from depthmocap.classify.preprocess import WINDOW_MAKERS, NetworkName
+from depthmocap.errors import InputError
+from depthmocap.frames import View
+from depthmocap.synth.motion.postures import TRAINING_VARIATION, posture_source
+from depthmocap.synth.sample import Recipe, Split, Subset
+from depthmocap.synth.sample import Sampler as SampleSampler
+
+#: A window's inputs (c, s, s) and its labels, 255 where they are not known.
+LabelledWindow = tuple[Float[ndarray, "c s s"], UInt8[ndarray, "s s"]]
+#: Validation draws from a seed of its own.
+_VALID_SEED = 1_000_003
+_ENDLESS = 1 << 40
+
+
+@dataclasses.dataclass(frozen=True)
+class WindowSource:
+    """Where the windows of a network come from.
+
+    Attributes:
+        network: by which windows are made. Ours learns from pictures of any sensor, with its errors, spoilt as
+            segmentation spoils them; the paper's from exact depth of UBC3V's sensor and perfect masks.
+        data: "synth", or the root of a UBC3V set.
+        subset: who is in the pictures.
+        postures: folder of clips or a pool made of them; without it the packaged prior.
+    """
+
+    network: NetworkName
+    data: str
+    subset: Subset
+    postures: Path | None
+    seed: int
+
+    def train(self, first: int = 0) -> Dataset[LabelledWindow]:
+        """Windows from the ``first`` on, without end.
+
+        Raises:
+            InputError: postures or data that cannot be read.
+        """
+        if self.data != "synth":
+            return _FolderWindows(self, "train", first)
+        return _PaperWindows(self, "train", first) if self.network == "paper" else _SynthWindows(self, first)
+
+    def valid(self, count: int) -> tuple[Tensor, Tensor]:
+        """The fixed validation windows (n, c, s, s) and labels (n, s, s): of the postures of the valid split, from
+        another seed.
+
+        Raises:
+            InputError: postures or data that cannot be read.
+        """
+        if self.data != "synth":
+            folder = _FolderWindows(self, "valid", 0)
+            windows = [folder[i] for i in range(min(count, len(folder.index)))]
+        elif self.network == "paper":
+            source = _PaperWindows(dataclasses.replace(self, seed=self.seed + _VALID_SEED), "valid", 0)
+            windows = [source[i] for i in range(count)]
+        else:
+            postures = posture_source(self.postures, "valid", self.subset == "easy")
+            windows = [training_window(self.seed + _VALID_SEED, i, self.subset, postures, None) for i in range(count)]
+        return tuple(torch.from_numpy(np.stack(each)) for each in zip(*windows, strict=True))  # pyright: ignore
+
+    def window(self, view: View) -> LabelledWindow | None:
+        """The window of a view with mask and labels; None where nobody is."""
+        assert view.mask is not None and view.labels is not None
+        window = WINDOW_MAKERS[self.network](view.depth_m, view.mask, view.camera)
+        if window is None:
+            return None
+        labels = window.labels_from_image(view.labels, UNLABELLED)
+        if self.network == "paper":  # which learns what is not the person, too
+            labels[window.inputs[1] == 0] = 0
+        return window.inputs, labels
+
+
+class _SynthWindows(Dataset[LabelledWindow]):
+    """Open-ended pictures for our network."""
+
+    def __init__(self, source: WindowSource, first: int) -> None:
+        self.source, self.first = source, first
+        self.postures = posture_source(source.postures, "train", source.subset == "easy", TRAINING_VARIATION)
+
+    def __len__(self) -> int:
+        return _ENDLESS
+
+    def __getitem__(self, index: int) -> LabelledWindow:
+        return training_window(self.source.seed, self.first + index, self.source.subset, self.postures, Spoiling())
+
+
+class _PaperWindows(Dataset[LabelledWindow]):
+    """Pictures of the paper's kind: exact depth, nothing around the person (Sec. III)."""
+
+    def __init__(self, source: WindowSource, split: Split, first: int) -> None:
+        recipe = Recipe(source.subset, split, views=1, postures=source.postures, vary=split == "train")
+        self.source, self.first = source, first
+        self.sampler = SampleSampler(recipe, source.seed)
+
+    def __len__(self) -> int:
+        return _ENDLESS
+
+    def __getitem__(self, index: int) -> LabelledWindow:
+        (view,) = self.sampler(self.first + index).views
+        window = self.source.window(view)
+        assert window is not None  # the sampler draws again until somebody is seen
+        return window
+
+
+class _FolderWindows(Dataset[LabelledWindow]):
+    """Views of a UBC3V split in an order shuffled by the seed, over and over."""
+
+    def __init__(self, source: WindowSource, split: Split, first: int) -> None:
+        from depthmocap.datasets.ubc3v import CAMERAS, Section, sections
+
+        self.source, self.first = source, first
+        self.sections = [Section(path) for path in sections(Path(source.data), f"{source.subset}-pose", split)]
+        self.index = [
+            (s, i, v)
+            for s, section in enumerate(self.sections)
+            for i in range(len(section))
+            for v in range(len(CAMERAS))
+        ]
+        self.order = np.random.default_rng(source.seed).permutation(len(self.index))
+
+    def __len__(self) -> int:
+        return _ENDLESS
+
+    def __getitem__(self, index: int) -> LabelledWindow:
+        for attempt in range(100):  # a view may be missing or show nobody
+            s, i, v = self.index[self.order[(self.first + index + 7919 * attempt) % len(self.order)]]
+            views = self.sections[s][i].views
+            if v >= len(views) or views[v].mask is None or views[v].labels is None:
+                continue
+            window = self.source.window(views[v])
+            if window is not None:
+                return window
+        raise InputError("100 views in a row hold no labelled person: is this a UBC3V root with labels?")
+
+
+class Batches(Sampler[list[int]]):
+    """Indices 0 to size - 1, then the next ones, without end."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+
+    def __iter__(self) -> Iterator[list[int]]:
+        start = 0
+        while True:
+            yield list(range(start, start + self.size))
+            start += self.size

@@ -1,0 +1,88 @@
+"""Training of the paper's network: its optimiser, its windows, resuming."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("onnxscript")
+
+from depthmocap.body.model import BodyModel  # noqa: E402
+from depthmocap.body.regions import UNLABELLED  # noqa: E402
+from depthmocap.classify.networks import FastNet  # noqa: E402
+from depthmocap.classify.paper import PaperNet  # noqa: E402
+from depthmocap.classify.runtime import Classifier  # noqa: E402
+from depthmocap.classify.train import (  # noqa: E402
+    ClassifierTraining,
+    _make_optimiser,
+    evaluate_windows,
+    load_weights,
+    train_classifier,
+)
+from depthmocap.classify.windows import WindowSource  # noqa: E402
+from depthmocap.errors import InputError  # noqa: E402
+
+
+def test_paper_biases_learn_twice_as_fast() -> None:
+    network = PaperNet()
+    optimiser = _make_optimiser(network, ClassifierTraining(Path("x"), network="paper", learning_rate=0.5))
+    assert isinstance(optimiser, torch.optim.SGD)
+    peaks = {id(p): group["peak"] for group in optimiser.param_groups for p in group["params"]}
+    for name, parameter in network.named_parameters():
+        assert peaks[id(parameter)] == (1.0 if name.endswith("bias") else 0.5)
+
+
+def test_ours_is_trained_by_adamw() -> None:
+    optimiser = _make_optimiser(FastNet(), ClassifierTraining(Path("x")))
+    assert isinstance(optimiser, torch.optim.AdamW)
+    (group,) = optimiser.param_groups  # the checkpoints of earlier versions have one, too
+    assert (group["peak"], group["weight_decay"]) == (2e-3, 0.02)
+
+
+def test_windows_of_the_papers_kind(body_model: BodyModel) -> None:
+    source = WindowSource("paper", "synth", "hard", None, 0)
+    windows = source.train(5)
+    x, y = windows[2]
+    assert x.shape == (2, 250, 250) and y.shape == (250, 250)
+    person = x[1] > 0
+    assert (y[~person] == 0).all()  # what is not the person is learnt as background
+    assert len(np.unique(y[person])) > 8
+    assert (y == UNLABELLED).mean() < 0.01
+    for array, same in zip((x, y), source.train()[7], strict=True):
+        np.testing.assert_array_equal(array, same)
+    valid_x, valid_y = source.valid(2)
+    assert valid_x.shape == (2, 2, 250, 250) and valid_y.dtype == torch.uint8
+    assert not (valid_y[0] == torch.from_numpy(source.train()[0][1])).all()
+
+
+def test_the_papers_network_learns_resumes_and_exports(body_model: BodyModel, tmp_path: Path) -> None:
+    settings = ClassifierTraining(
+        tmp_path / "run", network="paper", subset="easy", images=4, batch=2, workers=0, valid_every=2, valid_images=2,
+        average=0.0, schedule="constant", learning_rate=0.01, bfloat16=False,
+    )  # fmt: skip
+    train_classifier(settings)
+    onnx = train_classifier(dataclasses.replace(settings, images=6))
+    rows = [json.loads(line) for line in (settings.out / "history.jsonl").read_text().splitlines()]
+    assert [row["step"] for row in rows] == [2, 4, 6]
+    assert rows[-1]["loss"] < rows[0]["loss"] < 6
+    assert Classifier(onnx, threads=1).network == "paper"
+    # Without averaging, what is kept is what was trained, its kernels in half precision.
+    state = torch.load(settings.out / "checkpoint.pt", weights_only=True)
+    network = PaperNet()
+    load_weights(network, settings.out / "classifier.safetensors")
+    for name, value in network.state_dict().items():
+        torch.testing.assert_close(value, state["network"][name], rtol=1e-3, atol=1e-5)
+    x, y = settings.source.valid(1)
+    assert evaluate_windows(network, x, y).pixels == ((x[:, 1] > 0) & (y > 0) & (y != UNLABELLED)).sum()
+    with pytest.raises(InputError, match=r"checkpoint\.pt is of another network or optimiser"):
+        train_classifier(dataclasses.replace(settings, network="fast", images=8))
+
+
+def test_average_that_cannot_be(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--average must be from 0"):
+        train_classifier(ClassifierTraining(tmp_path, average=1.0))
