@@ -1,6 +1,7 @@
 """PNG files: other programs read back what was written."""
 
 import io
+import zlib
 
 import cv2
 import numpy as np
@@ -28,7 +29,7 @@ def test_grey_round_trip(dtype, high):
         with Image.open(io.BytesIO(data)) as opened:
             assert (np.array(opened) == image).all()
         back = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-        assert back.dtype == dtype
+        assert back is not None and back.dtype == dtype
         assert (back == image).all()
 
 
@@ -42,6 +43,43 @@ def test_colours_round_trip():
             assert (np.array(image) == colours[values]).all()
 
 
+def test_flat_and_long_runs_round_trip():
+    """Runs of every length, where lengths are cut into parts."""
+    for width in (*range(1, 12), 63, 64, 65, 66, 128, 129, 130, 257, 258, 259, 260, 261, 262, 516, 517, 519, 1031):
+        image = np.zeros((6, width), np.uint8)
+        image[1] = 7
+        image[2, width // 2 :] = 7
+        image[4:] = 200
+        for data, dtype in ((grey_png(image), np.uint8), (grey_png(image * np.uint16(257)), np.uint16)):
+            back = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+            assert (back == image.astype(dtype) * dtype(257 if dtype is np.uint16 else 1)).all()
+        colours = np.arange(1024, dtype=np.int64).astype(np.uint8).reshape(256, 4)[:, ::-1].copy()
+        with Image.open(io.BytesIO(colour_png(image, colours))) as picture:
+            assert (np.array(picture) == colours[image]).all()
+
+
+def test_codes_longer_than_allowed_are_shortened():
+    """Bytes as frequent as Fibonacci's numbers would take codes of up to 24 bits."""
+    counts = [1, 1]
+    while len(counts) < 25:
+        counts.append(counts[-1] + counts[-2])
+    values = np.repeat(np.arange(1, 26, dtype=np.uint8), counts)
+    values = np.random.default_rng(2).permutation(values)[None]
+    back = cv2.imdecode(np.frombuffer(grey_png(values), np.uint8), cv2.IMREAD_UNCHANGED)
+    assert (back == values).all()
+
+
+def test_no_larger_than_zlib_with_run_lengths():
+    rng = np.random.default_rng(3)
+    rows, columns = np.mgrid[:424, :512]
+    image = np.where(np.hypot(rows - 200, (columns - 250) * 2) < 150, (rows + columns) // 9 + 20, 0).astype(np.uint8)
+    image[rng.random(image.shape) < 0.001] = 99
+    filtered = np.full((424, 513), 2, np.uint8)
+    filtered[:, 1:] = np.diff(image, axis=0, prepend=np.uint8(0))
+    zlib_rle = zlib.compressobj(9, strategy=zlib.Z_RLE)
+    assert len(grey_png(image)) < 1.05 * len(zlib_rle.compress(filtered.tobytes()) + zlib_rle.flush())
+
+
 @given(st.binary(min_size=1, max_size=400), st.integers(1, 20))
 def test_any_bytes_round_trip(data, width):
     image = np.resize(np.frombuffer(data, np.uint8), (-(-len(data) // width), width))
@@ -52,5 +90,9 @@ def test_what_cannot_be_written():
     colours = np.zeros((3, 4), np.uint8)
     with pytest.raises(ValueError, match="0 to 2"):
         colour_png(np.array([[3]], np.uint8), colours)
+    with pytest.raises(ValueError, match="0 to 2"):
+        colour_png(np.array([[-1]]), colours)
+    with pytest.raises(ValueError, match="at least one pixel"):
+        grey_png(np.zeros((0, 4), np.uint8))
     with pytest.raises(ValueError, match="uint16, got int32"):
         grey_png(np.zeros((2, 2), np.int32))
