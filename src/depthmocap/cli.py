@@ -59,6 +59,8 @@ _COMMANDS = (
              "confusion, swapped limbs and calibration of a classifier's labels"),
     _Command("evaluate estimators", "depthmocap.evaluate.estimators", "EstimatorComparison", "compare_estimators",
              "ridge, LASSO, a small network and votes on the same samples", "train"),
+    _Command("evaluate panoptic", "depthmocap.evaluate.panoptic", "PanopticEvaluation", "evaluate_panoptic",
+             "accuracy on the Kinects of CMU Panoptic"),
     _Command("evaluate labels2d", "depthmocap.evaluate.labels2d", "Labels2dEvaluation", "evaluate_labels2d",
              "labels of real depth against joints found in colour"),
     _Command("compare", "depthmocap.evaluate.compare", "Comparison", "compare",

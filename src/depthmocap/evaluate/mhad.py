@@ -20,10 +20,10 @@ from numpy import ndarray
 from rich.console import Console
 
 from depthmocap.classify.runtime import Classifier
-from depthmocap.datasets.annotated import AnnotatedFrame
+from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet
 from depthmocap.datasets.mhad import MHAD_JOINTS, MhadSet
 from depthmocap.errors import InputError
-from depthmocap.evaluate.evaluation_report import Outputs, print_results, write_outputs
+from depthmocap.evaluate.evaluation_report import Outputs, about, print_results, write_outputs
 from depthmocap.evaluate.metrics import joint_errors_cm
 from depthmocap.evaluate.observe import Observations, observe
 from depthmocap.evaluate.protocol import Refit, comparable, leave_one_out, measure_estimates
@@ -73,7 +73,7 @@ class MhadEvaluation(Outputs):
 class HandWatch:
     """A set that passes another's frames on, and keeps for each whether the true hands are in the cloud."""
 
-    def __init__(self, source: MhadSet) -> None:
+    def __init__(self, source: AnnotatedSet) -> None:
         self.name, self.joints, self.ours, self.up, self.fps = (
             source.name, source.joints, source.ours, source.up, source.fps,
         )  # fmt: skip
@@ -114,7 +114,7 @@ class MhadResults:
 
 
 def measure_mhad(
-    source: MhadSet,
+    source: AnnotatedSet,
     estimator: JointEstimator,
     classifier: Classifier,
     refit: Refit = "ridge",
@@ -202,8 +202,7 @@ def evaluate_mhad(settings: MhadEvaluation, console: Console | None = None) -> d
     source = MhadSet(settings.root, settings.subjects, settings.actions, settings.every)
     classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)
     results = measure_mhad(source, estimator, classifier, settings.refit, tables, console).numbers
-    about = {"refit": settings.refit, "every": settings.every, "estimator": settings.estimator}
-    results = {name: {"about": about, **numbers} for name, numbers in results.items()}
+    results = {name: {"about": about(settings), **numbers} for name, numbers in results.items()}
     write_outputs(settings, source.name, results)
     print_results(source.name, results, console)
     return results
