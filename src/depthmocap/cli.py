@@ -40,6 +40,8 @@ _COMMANDS = (
              "how close the posture prior comes to real postures", "train"),
     _Command("train classifier", "depthmocap.classify.train", "ClassifierTraining", "train_classifier",
              "train a body-part classifier", "train"),
+    _Command("train curriculum", "depthmocap.classify.curriculum", "CurriculumTraining", "train_curriculum",
+             "the paper's network by its curriculum, and without", "train"),
     _Command("train pose", "depthmocap.pose.train", "PoseTraining", "train_pose", "fit the joint regressors"),
     _Command("train prior", "depthmocap.synth.motion.prior", "PriorTraining", "train_prior",
              "learn the posture prior from motion capture", "train"),
