@@ -73,12 +73,14 @@ def test_a_single_wrong_timestamp_is_not_a_jump():
     assert abs(tracker.host_ns(device[-1]) - true[-1]) < 2e6
 
 
-def test_frames_held_up_for_a_second_are_late_but_not_a_jump():
+@pytest.mark.parametrize("seconds", [1, 5])
+def test_frames_that_were_held_up_are_late_but_not_a_jump(seconds):
     device, arrival, true = pairs(np.random.default_rng(4))
     tracker = ClockTracker()
+    end = 900 + 30 * seconds
     for i, (d, a) in enumerate(zip(device, arrival, strict=True)):
-        held = max(a, arrival[929]) if 900 <= i < 930 else a  # all of a second come at its end
-        host = tracker.update(d, held)
+        held = arrival[end - 1] + i * 1_000_000 if 900 <= i < end else a  # all of them come at the end, one a ms
+        host = tracker.update(d, max(held, a))
         assert host is None or i < 900 or abs(host - true[i]) < 2e6
     assert tracker.restarts == 0
 

@@ -99,6 +99,13 @@ def test_a_set_leaves_with_its_last_frame_or_when_its_wait_is_over():
     assert all(b.timestamp_ns > a.timestamp_ns for a, b in itertools.pairwise(outcome.sets))
 
 
+def test_the_first_set_is_whole_and_a_camera_that_never_comes_is_not_waited_for():
+    outcome = run({"cam2": Faults(loss=1.0)}, phases=[0.0, 0.1, 0.2], count=3)
+    assert [set(s.frames) for s in outcome.sets[:3]] == [{"cam0", "cam1"}] * 3
+    assert max(outcome.waits[:20]) < 60e6
+    assert max(outcome.waits[60:]) == 0
+
+
 def test_duplicates_and_reordered_frames():
     outcome = run({"cam0": Faults(duplicate=0.2), "cam1": Faults(reorder=0.1)}, count=2)
     assert 20 < outcome.sync.counts("cam0").duplicates < 80

@@ -29,8 +29,9 @@ AHEAD_S, AHEAD_YOUNG_S = 0.008, 0.05
 #: Behind the line a frame may be late. It is a jump if frames agree on it for a while, or if it is this large.
 BEHIND_S, FAR_BEHIND_S = 0.05, 1.0
 BEHIND_FOR_S = 1.0
-#: So many frames in a row must agree on a jump, to within this (seconds).
-CONFIRMATIONS, AGREEMENT_S = 3, 0.05
+#: So many frames in a row must agree on a jump, to within this, for at least this long (seconds): frames that were held
+#: up come all at once.
+CONFIRMATIONS, AGREEMENT_S, AGREEMENT_FOR_S = 3, 0.05, 0.06
 
 
 class ClockTracker:
@@ -130,12 +131,13 @@ class ClockTracker:
 
     def _jumped(self, late_s: float, device_ns: int, arrival_ns: int) -> bool:
         """Whether the frames since the clock was last believed agree that it jumped; then it starts anew with them."""
-        if self._suspects and abs(late_s - self._suspects[-1][0]) > AGREEMENT_S:
+        if self._suspects and abs(late_s - self._suspects[0][0]) > AGREEMENT_S:
             self._suspects.clear()
         self._suspects.append((late_s, device_ns, arrival_ns))
         for_s = (arrival_ns - self._suspects[0][2]) * 1e-9
-        enough = for_s >= BEHIND_FOR_S if 0 < late_s < FAR_BEHIND_S else True
-        if len(self._suspects) < CONFIRMATIONS or not enough:
+        if len(self._suspects) < CONFIRMATIONS:
+            return False
+        if for_s < (BEHIND_FOR_S if 0 < late_s < FAR_BEHIND_S else AGREEMENT_FOR_S):
             return False
         # The least delayed of them, so that the new line starts under as many as possible.
         _, device, arrival = min(self._suspects, key=lambda suspect: suspect[0])

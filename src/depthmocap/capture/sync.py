@@ -139,6 +139,7 @@ class Synchroniser:
         self._reference = ""
         self._released: int | None = None
         self._last_ns: int | None = None
+        self._first_arrival_ns: int | None = None
 
     def add_camera(self, name: str, latency_ms: float = 0.0) -> None:
         """Expect frames of a camera from now on.
@@ -186,6 +187,8 @@ class Synchroniser:
         camera = self._cameras.get(frame.camera)
         if camera is None:
             return None
+        if self._first_arrival_ns is None:
+            self._first_arrival_ns = frame.arrival_ns
         counts = camera.counts
         counts.frames += 1
         if frame.timestamp_ns in camera.timestamps:
@@ -218,7 +221,7 @@ class Synchroniser:
         sets = []
         for place in sorted(self._open):
             if now_ns < self._deadline_ns(place) and any(
-                self._may_come(name, camera, place) for name, camera in self._cameras.items()
+                self._may_come(name, camera, place, now_ns) for name, camera in self._cameras.items()
             ):
                 break
             sets.append(self._release(place))
@@ -243,8 +246,13 @@ class Synchroniser:
         phases = [camera.phase_ns for camera in self._cameras.values() if not camera.silent]
         return round(self._place_ns(place) + max(phases, default=0) + self.settings.wait_ms * 1e6)
 
-    def _may_come(self, name: str, camera: _Camera, place: int) -> bool:
-        """Whether a set should wait for a camera: it runs, has not delivered, and its next frame may belong here."""
+    def _may_come(self, name: str, camera: _Camera, place: int, now_ns: int) -> bool:
+        """Whether a set should wait for a camera: it runs, has not delivered, and its next frame may belong here.
+
+        At the start, cameras that have not delivered yet count as running.
+        """
+        if not camera.counts.frames and self._first_arrival_ns is not None:
+            return now_ns - self._first_arrival_ns <= self.settings.lost_after_s * 1e9
         if camera.silent or name in self._open[place]:
             return False
         return camera.last_place is None or place >= camera.last_place + camera.stride
