@@ -1,16 +1,18 @@
-"""Rows of the classifier, against the paper's network."""
+"""Rows of the classifier, against the paper's network: views in, labels out, in both."""
 
 from __future__ import annotations
 
 import importlib.resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
 from timing import Bench, Reference
 
-from depthmocap.classify.preprocess import WINDOW
 from depthmocap.classify.runtime import Classifier
 from depthmocap.synth.sample import Recipe, Sampler
+
+if TYPE_CHECKING:
+    from depthmocap.classify.networks import Network
 
 GOAL_MS = 20.0
 
@@ -20,66 +22,63 @@ def load_classifier(bench: Bench) -> Classifier:
     packaged = Path(str(importlib.resources.files("depthmocap.classify") / "weights" / "fast.onnx"))
     if packaged.is_file():
         return Classifier(threads=bench.threads)
+    bench.notes.append("no packaged classifier: a network with random weights stands in for it")
+    return random_classifier(bench, "fast")
+
+
+def random_classifier(bench: Bench, name: str) -> Classifier:
+    """A network with random weights, which takes as long as a trained one."""
     import torch
 
     from depthmocap.classify.export import export_onnx
-    from depthmocap.classify.networks import FastNet
+    from depthmocap.classify.networks import NETWORKS
 
-    path = bench.folder / "random.onnx"
+    path = bench.folder / f"random_{name}.onnx"
     if not path.exists():
         torch.manual_seed(0)
-        bench.notes.append("no packaged classifier: a network with random weights stands in for it")
-        export_onnx(FastNet(), path, {})
+        export_onnx(NETWORKS[name](), path, {"network": name})
     return Classifier(path, bench.threads)
 
 
-def labelling(bench: Bench) -> None:
-    """Views in, labels out, against a mere forward pass of the paper's network."""
-    import onnxruntime
+def size(network: Network) -> str:
+    """Weights and biases of a network, and the operations (a multiply-add counted as two) of its convolutions and
+    deconvolutions for a view."""
     import torch
-    from paper_network import SIDE, PaperNetwork, export_paper_network, gflop, parameter_count
+    from torch import Tensor, nn
 
-    from depthmocap.classify.networks import FastNet
+    total = 0
 
-    classifier = load_classifier(bench)
+    def count(layer: nn.Module, inputs: tuple[Tensor, ...], output: Tensor) -> None:
+        nonlocal total
+        if isinstance(layer, nn.Conv2d | nn.ConvTranspose2d):
+            # A convolution's kernel is applied once an output pixel, a deconvolution's once an input pixel.
+            pixels = (output if isinstance(layer, nn.Conv2d) else inputs[0])[0, 0].numel()
+            total += 2 * layer.weight.numel() * pixels
+
+    hooks = [module.register_forward_hook(count) for module in network.modules()]
+    with torch.no_grad():
+        network.eval()(torch.zeros(1, *network.input_shape))
+    for hook in hooks:
+        hook.remove()
+    parameters = sum(parameter.numel() for parameter in network.parameters())
+    return f"{parameters / 1e6:.3f} M parameters, {total / 1e9:.2f} GFLOP a view"
+
+
+def labelling(bench: Bench) -> None:
+    """Views in, labels out, by our network and by the paper's, each with its own pre- and postprocessing."""
+    from depthmocap.classify.networks import NETWORKS
+
+    ours, paper = load_classifier(bench), random_classifier(bench, "paper")
     sample = Sampler(Recipe("open", views=4, sensors=("kinect2",), noise="sensor"), seed=3)(0)
     views = list(sample.views)
     masks = [view.mask for view in views if view.mask is not None]
-
-    torch.manual_seed(0)
-    torch.set_num_threads(bench.threads)
-    network = PaperNetwork().eval()
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = bench.threads
-    options.log_severity_level = 3
-    path = export_paper_network(network, bench.folder / "paper.onnx")
-    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    inputs = np.random.default_rng(4).standard_normal((len(views), 1, SIDE, SIDE), dtype=np.float32)
-    with torch.no_grad():
-        expected = network(torch.from_numpy(inputs)).numpy()
-    error = float(np.abs(np.asarray(session.run(None, {"depth": inputs})[0]) - expected).max())
-    if expected.shape != (4, 44, SIDE, SIDE) or error > 1e-3 * np.abs(expected).max():
-        bench.notes.append(f"the paper's network in ONNX Runtime differs from PyTorch by {error:.2g}: do not trust it")
-    bench.notes.append(
-        f"the paper's network: {parameter_count(network) / 1e6:.3f} M parameters, "
-        f"{gflop(network, torch.zeros(1, 1, SIDE, SIDE)):.2f} GFLOP a view; ours: "
-        f"{parameter_count(FastNet()) / 1e6:.3f} M, {gflop(FastNet(), torch.zeros(1, 3, WINDOW, WINDOW)):.2f} GFLOP"
-    )
-    channels_last = network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    tensor = torch.from_numpy(inputs).to(memory_format=torch.channels_last)
-
-    def in_torch(count: int) -> object:
-        with torch.inference_mode():
-            return channels_last(tensor[:count])
-
+    bench.notes.append(f"our network: {size(NETWORKS['fast']())}; the paper's: {size(NETWORKS['paper']())}")
     for count in (1, len(views)):
-        calls = f"{count} view{'s' * (count > 1)} a call"
-        for reference in (
-            Reference("paper's network, ONNX Runtime", lambda n=count: session.run(None, {"depth": inputs[:n]}), count),
-            Reference("paper's network, PyTorch", lambda n=count: in_torch(n), count),
-        ):
-            bench.measure(
-                f"Label a view, {calls}", lambda n=count: classifier.label_views(views[:n], masks[:n]), reference,
-                items=count, goal_ms=GOAL_MS,
-                note=f"{bench.threads} threads each; ours with, theirs without pre- and postprocessing",
-            )  # fmt: skip
+        bench.measure(
+            f"Label a view, {count} view{'s' * (count > 1)} a call",
+            lambda n=count: ours.label_views(views[:n], masks[:n]),
+            Reference("paper's network", lambda n=count: paper.label_views(views[:n], masks[:n]), count),
+            items=count,
+            goal_ms=GOAL_MS,
+            note=f"{bench.threads} threads each, windows and labels of the picture included",
+        )
