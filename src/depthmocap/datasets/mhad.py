@@ -139,7 +139,12 @@ class MhadSet:
             InputError: when the calibration disagrees with the pictures.
         """
         self.problems.clear()
-        for sequence in self.sequences:
+        for kinect in KINECTS:
+            absent = [each for each in self.sequences if not self._has_depth(each, kinect)]
+            if absent:
+                folder = absent[0].depth_path(self.root, kinect, 0).parent
+                self.problems.append(f"{len(absent)} sequences left out, the first because {folder} not found")
+        for sequence in self._with_depth:
             lost: list[str] = []
             try:
                 frames, joints_world = self._open(sequence)
@@ -167,8 +172,9 @@ class MhadSet:
         """
         samples: dict[int, list[View]] = collections.defaultdict(list)
         truths: list[ndarray] = []
-        spread = np.linspace(0, len(self.sequences) - 1, min(_SAMPLED, len(self.sequences))).round().astype(int)
-        for sequence in [self.sequences[i] for i in spread]:
+        there = self._with_depth
+        spread = np.linspace(0, len(there) - 1, min(_SAMPLED, len(there))).round().astype(int)
+        for sequence in [there[i] for i in spread]:
             try:
                 frames, joints_world = self._open(sequence)
             except InputError:
@@ -191,6 +197,13 @@ class MhadSet:
         for kinect in KINECTS:
             self._check_calibration(kinect, samples[kinect], truths, segmenter)
         return segmenter
+
+    def _has_depth(self, sequence: Sequence, kinect: int) -> bool:
+        return sequence.depth_path(self.root, kinect, 0).parent.is_dir()
+
+    @property
+    def _with_depth(self) -> list[Sequence]:
+        return [each for each in self.sequences if all(self._has_depth(each, kinect) for kinect in KINECTS)]
 
     def _check_calibration(
         self, kinect: int, views: list[View], truths: list[ndarray], segmenter: PersonSegmenter
