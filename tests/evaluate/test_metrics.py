@@ -8,7 +8,7 @@ import pytest
 from depthmocap.body.regions import REGION
 from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
 from depthmocap.errors import InputError
-from depthmocap.evaluate.metrics import CURVE_THRESHOLDS_CM, PixelAccuracy, joint_errors_cm, joint_metrics
+from depthmocap.evaluate.metrics import CURVE_THRESHOLDS_CM, PixelAccuracy, joint_errors_cm, joint_metrics, reliability
 
 
 def test_joint_errors_are_distances_in_cm() -> None:
@@ -53,6 +53,29 @@ def test_joint_metrics_of_nothing(frames: int) -> None:
     assert metrics.observed == metrics.missing == 0
     known = joint_metrics(np.full((2, 18, 3), np.nan), np.zeros((2, 18, 3)))
     assert known.within_10cm == 0 and known.missing == 36
+
+
+def test_every_joint_counts_alike_in_the_mean_average_precision() -> None:
+    truths = np.zeros((10, 3, 3))
+    truths[1:, 2] = np.nan  # known once, and missed
+    estimates = np.nan_to_num(truths)
+    estimates[:, 2] = 1
+    estimates[:5, 1] = 0.2
+    metrics = joint_metrics(estimates, truths, ("a", "b", "c"))
+    assert metrics.per_joint_within_10cm == {"a": 1.0, "b": 0.5, "c": 0.0}
+    assert metrics.mean_ap_10cm == pytest.approx(0.5)
+    assert metrics.within_10cm == pytest.approx(15 / 21)
+
+
+def test_reliability_of_confidence() -> None:
+    confidence = np.array([[0.9, 0.95, 0.92, 0.91], [0.2, 0.22, 1.0, np.nan]])
+    errors_cm = np.array([[1.0, 2.0, 30.0, 9.0], [50.0, 60.0, np.nan, 1.0]])
+    found = reliability(confidence, errors_cm)
+    assert found.joints == (2, 4)
+    assert found.confidence == pytest.approx((0.21, 0.92))
+    assert found.within_10cm == pytest.approx((0.0, 0.75))
+    assert found.calibration_error == pytest.approx((2 * 0.21 + 4 * 0.17) / 6)
+    assert np.isnan(reliability(confidence * np.nan, errors_cm).calibration_error)
 
 
 def test_pixel_accuracy() -> None:

@@ -4,7 +4,6 @@ followed over time by anyone with the same clips, or with none (then from the pa
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from rich.progress import Progress
 
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
+from depthmocap.evaluate.evaluation_report import Outputs, about, write_outputs
 from depthmocap.evaluate.synthetic import Labels, measure, print_numbers
 from depthmocap.frames import FrameSet
 from depthmocap.pose.estimate import load_estimator
@@ -24,7 +24,7 @@ from depthmocap.synth.sample import BENCH, Recipe
 
 
 @dataclasses.dataclass(frozen=True)
-class BenchEvaluation:
+class BenchEvaluation(Outputs):
     """Accuracy of labels and joints on the project's own test sets: people of all builds in clothes, any sensor with
     its errors, cameras anywhere around; then clothes and a sensor that training never shows.
 
@@ -35,7 +35,6 @@ class BenchEvaluation:
         sets: which of them.
         views: cameras that look at each posture.
         labels: "network" runs the classifier; "true" gives the pose stage the true labels, its floor.
-        json: file for all numbers.
         weights: a classifier.onnx of your own.
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
         workers: processes that make the pictures.
@@ -47,7 +46,6 @@ class BenchEvaluation:
     views: int = 3
     labels: Labels = "network"
     seed: int = 1
-    json: Path | None = None
     weights: Path | None = None
     estimator: str = "votes"
     workers: int = usable_cores()
@@ -82,7 +80,6 @@ def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) ->
         assert found is not None  # every sample has labels and joints
         numbers[name] = {"recipe": plain_settings(recipe), "seed": settings.seed, "clips": clips, **found}
         print_numbers(f"bench, {name}", found, console)
-    if settings.json is not None:
-        settings.json.parent.mkdir(parents=True, exist_ok=True)
-        settings.json.write_text(json.dumps(numbers, indent=1) + "\n")
+    kept = about(settings)
+    write_outputs(settings, "bench", {name: {"about": kept, **each} for name, each in numbers.items()}, numbers)
     return numbers

@@ -14,7 +14,8 @@ from rich.table import Table
 
 from depthmocap.body.regions import REGION_NAMES, UNLABELLED
 from depthmocap.classify.runtime import Classifier
-from depthmocap.evaluate.metrics import PixelAccuracy, joint_metrics
+from depthmocap.evaluate.metrics import PixelAccuracy, joint_errors_cm, joint_metrics, reliability
+from depthmocap.evaluate.protocol import joint_numbers
 from depthmocap.frames import FrameSet, View
 from depthmocap.pose.cloud import LabelledView, merge_views
 from depthmocap.pose.estimate import JointEstimator
@@ -51,6 +52,7 @@ def measure(
     window_accuracy, image_accuracy = PixelAccuracy(), PixelAccuracy()
     estimates: list[ndarray] = []
     truths: list[ndarray] = []
+    confidences: list[ndarray] = []
     spent_ms: list[float] = []
     samples = 0
     for frame in frames:
@@ -67,9 +69,10 @@ def measure(
         labelled_ms = (time.perf_counter() - start) * 1e3
         for chosen in itertools.combinations(parts, min(views, len(parts))):
             start = time.perf_counter()
-            joints, _ = estimator(merge_views(list(chosen)), "z")
+            joints, confidence = estimator(merge_views(list(chosen)), "z")
             spent_ms.append((time.perf_counter() - start) * 1e3 + labelled_ms * len(chosen) / len(parts))
             estimates.append(joints)
+            confidences.append(confidence)
             truths.append(frame.true_joints)
         for view, labels, _ in parts:
             if view.labels is not None and view.mask is not None:
@@ -77,7 +80,8 @@ def measure(
     if not estimates:
         return None
     pixels = image_accuracy if classifier is None else window_accuracy
-    metrics = joint_metrics(np.stack(estimates), np.stack(truths))
+    found, true = np.stack(estimates), np.stack(truths)
+    calibration = reliability(np.stack(confidences).astype(np.float64), joint_errors_cm(found, true))
     return {
         "labels": "true" if classifier is None else "network", "views": views, "frames": samples,
         "pixel_accuracy": pixels.pixel_accuracy,
@@ -85,13 +89,7 @@ def measure(
         "per_class_accuracy": [None if np.isnan(x) else float(x) for x in pixels.per_class_accuracy],
         "side_swap": pixels.side_swap,
         "image_pixel_accuracy": image_accuracy.pixel_accuracy,
-        "mean_joint_error_cm": metrics.mean_joint_error_cm,
-        "deviation_cm": metrics.deviation_cm,
-        "within_10cm": metrics.within_10cm,
-        "per_joint_error_cm": metrics.per_joint_error_cm,
-        "per_joint_deviation_cm": metrics.per_joint_deviation_cm,
-        "curve": list(metrics.curve),
-        "joints_missing": metrics.missing,
+        **joint_numbers(joint_metrics(found, true), calibration),
         "ms_per_frame": float(np.median(spent_ms)),
     }  # fmt: skip
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +13,17 @@ from rich.progress import Progress
 from depthmocap.classify.runtime import Classifier
 from depthmocap.datasets.ubc3v import iterate, sections
 from depthmocap.errors import InputError
+from depthmocap.evaluate.evaluation_report import Outputs, about, write_outputs
 from depthmocap.evaluate.synthetic import Labels, measure, print_numbers
 from depthmocap.pose.estimate import load_estimator
 
 
 @dataclasses.dataclass(frozen=True)
-class Ubc3vEvaluation:
+class Ubc3vEvaluation(Outputs):
     """Accuracy of labels and joints on UBC3V, or on a set of the same layout.
 
     Attributes:
         root: holds hard-pose and its kin.
-        json: file for all numbers.
         labels: "network" runs the classifier; "true" gives the pose stage the true labels, its floor.
         views: 1 evaluates every camera alone and averages, 2 every pair, 3 all.
         limit: evaluate the first so many samples only.
@@ -35,7 +34,6 @@ class Ubc3vEvaluation:
     root: tyro.conf.Positional[Path]
     subset: str = "hard-pose"
     split: str = "test"
-    json: Path | None = None
     labels: Labels = "network"
     views: int = 3
     limit: int | None = None
@@ -62,8 +60,7 @@ def evaluate_ubc3v(settings: Ubc3vEvaluation, console: Console | None = None) ->
     if found is None:
         raise InputError(f"{settings.root}: no sample of {settings.subset}/{settings.split} has labels and joints")
     numbers = {"data": str(settings.root), "subset": settings.subset, "split": settings.split, **found}
-    if settings.json is not None:
-        settings.json.parent.mkdir(parents=True, exist_ok=True)
-        settings.json.write_text(json.dumps(numbers, indent=1) + "\n")
-    print_numbers(f"{settings.subset}/{settings.split}", numbers, console)
+    name = f"{settings.subset}/{settings.split}"
+    write_outputs(settings, f"UBC3V, {name}", {name: {"about": about(settings), **numbers}}, numbers)
+    print_numbers(name, numbers, console)
     return numbers

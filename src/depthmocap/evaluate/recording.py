@@ -1,0 +1,88 @@
+"""``depthmocap evaluate recording``: errors of the whole pipeline, smoothing included, where true joints are known."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import track
+
+from depthmocap.errors import InputError
+from depthmocap.evaluate.evaluation_report import Outputs, about, print_results, write_outputs
+from depthmocap.evaluate.metrics import joint_errors_cm, joint_metrics, reliability
+from depthmocap.evaluate.protocol import joint_numbers
+from depthmocap.offline import load_pipeline, open_source
+from depthmocap.pose.track import Smoothing
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordingEvaluation(Outputs):
+    """Accuracy of ``depthmocap run`` on a recording with truth.csv, or a section of UBC3V.
+
+    Attributes:
+        recording: the folder.
+        segment: "auto" finds the person in a static scene; "none" takes every valid pixel.
+        smooth: as ``run`` has it; a filter that waits is measured against the frame that it answers for.
+        lag_frames: that "fixed-lag" waits for.
+        bridge_s: how long "kalman" and "fixed-lag" go on with a joint that is missing (s).
+        weights: a classifier.onnx of your own.
+        estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
+    """
+
+    recording: tyro.conf.Positional[Path]
+    segment: Literal["auto", "none"] = "auto"
+    smooth: Smoothing = "auto"
+    lag_frames: int = 4
+    bridge_s: float = 0.0
+    weights: Path | None = None
+    estimator: str = "votes"
+
+
+def evaluate_recording(settings: RecordingEvaluation, console: Console | None = None) -> dict[str, Any]:
+    """Run the pipeline over the frames and measure those with a true joint; returns the numbers by name.
+
+    Raises:
+        InputError: when the recording cannot be read, or no frame of it has a true joint.
+    """
+    console = console or Console(stderr=True)
+    source = open_source(settings.recording)
+    pipeline = load_pipeline(
+        source, settings.segment, settings.smooth, settings.weights, settings.estimator,
+        lag_frames=settings.lag_frames, bridge_s=settings.bridge_s,
+    )  # fmt: skip
+    truths, poses, spent_ms = {}, {}, []
+    for frames in track(source, settings.recording.name, len(source), console=console):
+        result = pipeline(frames)
+        # A filter that waits gives a frame's pose later, and then for good.
+        poses[result.pose.timestamp_ns] = result.pose
+        spent_ms.append(sum(result.milliseconds.values()))
+        if frames.true_joints is not None and np.isfinite(frames.true_joints).all(1).any():
+            truths[frames.timestamp_ns] = frames.true_joints
+    poses |= {pose.timestamp_ns: pose for pose in pipeline.finish()}
+    problems = [*getattr(source, "problems", []), *getattr(pipeline.segment, "problems", [])]
+    if not truths:
+        raise InputError(
+            f"{settings.recording}: no frame has a true joint: truth.csv must hold the columns of pose.csv, at the "
+            f"frames' times. {' '.join(problems[:2])}".rstrip()
+        )
+    true = np.stack(list(truths.values())).astype(np.float64)
+    found = np.stack([poses[time_ns].joints for time_ns in truths]).astype(np.float64)
+    confidence = np.stack([poses[time_ns].confidence for time_ns in truths]).astype(np.float64)
+    name = settings.recording.resolve().name
+    numbers = {
+        "about": about(settings),
+        "frames": len(truths),
+        "frames_left_out": len(source) - len(truths),
+        "frames_without_person": int(np.isnan(found).all((1, 2)).sum()),
+        **joint_numbers(joint_metrics(found, true), reliability(confidence, joint_errors_cm(found, true))),
+        "ms_per_frame": float(np.median(spent_ms)),
+        "problems": problems,
+    }
+    results = {name: numbers}
+    write_outputs(settings, f"Recording {name}", results)
+    print_results(name, results, console)
+    return results
