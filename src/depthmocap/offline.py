@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from depthmocap.body.skeleton import JOINTS
+from depthmocap.capture.mcap_recording import open_recording
 from depthmocap.capture.recording import Recording
 from depthmocap.capture.segment import PersonSegmenter
 from depthmocap.classify.runtime import Classifier
@@ -36,7 +37,7 @@ class RunSettings:
     """Motion capture of a recording.
 
     Attributes:
-        recording: a recording folder (rig.json and 16-bit PNGs per camera) or a section of UBC3V.
+        recording: a recording folder (rig.json and 16-bit PNGs per camera), an MCAP file or a section of UBC3V.
         out: folder for pose.csv, pose.trc, pose.bvh, summary.json and report.html.
         segment: "auto" finds the person in a static scene; "none" takes every valid pixel.
         smooth: a filter over time. "average" is the paper's weighted average of the last frames, "fixed-lag" waits for
@@ -61,7 +62,7 @@ class RunSettings:
 
 
 def open_source(path: Path | str) -> FrameSource:
-    """A recording folder or a UBC3V section, told apart by what they hold.
+    """A recording folder, an MCAP file or a UBC3V section, told apart by what they hold and by the name.
 
     Raises:
         InputError: when the path is neither.
@@ -71,7 +72,7 @@ def open_source(path: Path | str) -> FrameSource:
         from depthmocap.datasets.ubc3v import Section
 
         return Section(path)
-    return Recording(path)
+    return open_recording(path)
 
 
 def load_pipeline(

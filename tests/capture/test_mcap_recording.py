@@ -239,10 +239,10 @@ def test_a_full_disk_is_told_and_keeps_what_was_written(tmp_path: Path) -> None:
 
 def test_cameras_of_different_clocks_meet_by_arrival(tmp_path: Path) -> None:
     rig = make_rig()
-    with McapWriter(tmp_path / "rec.mcap", rig, clocks={"front": "a", "seite links": "b"}, start_ns=START) as writer:
+    with McapWriter(tmp_path / "rec.mcap", rig, start_ns=START) as writer:
         for i in range(3):
-            writer.write("front", 5_000 + i * PERIOD, make_frame(rig["front"]), START + i * PERIOD)
-            writer.write("seite links", 7 + i * PERIOD, make_frame(rig["seite links"]), START + i * PERIOD + 9)
+            writer.write("front", 5_000 + i * PERIOD, make_frame(rig["front"]), START + i * PERIOD, "a")
+            writer.write("seite links", 7 + i * PERIOD, make_frame(rig["seite links"]), START + i * PERIOD + 9, "b")
     recording = McapRecording(tmp_path / "rec.mcap")
     assert [len(frame_set.views) for frame_set in recording] == [2, 2, 2]
     assert recording[1].timestamp_ns == START + PERIOD + 4

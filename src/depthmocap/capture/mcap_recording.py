@@ -184,7 +184,7 @@ class McapRecording(Recording):
 
     def _pose(self, name: str, transforms: dict[str, tuple[Transform, Channel]]) -> Float[ndarray, "4 4"]:
         """``world_from_camera``: exact where our metadata have it, otherwise along the transforms up to the root."""
-        pose, frame, seen = np.eye(4), name, set[str]()
+        pose, frame, seen = None, name, set[str]()
         while frame in transforms and frame not in seen:
             seen.add(frame)
             transform, channel = transforms[frame]
@@ -194,7 +194,8 @@ class McapRecording(Recording):
             elif np.any(transform.rotation):
                 step[:3, :3] = Rotation.from_quat(transform.rotation).as_matrix()
                 step[:3, 3] = transform.translation
-            pose, frame = step @ pose, transform.parent
+            pose, frame = step if pose is None else step @ pose, transform.parent
+        pose = np.eye(4) if pose is None else pose
         if pose.shape != (4, 4) or not is_rigid(pose):
             raise InputError(f"{self.path}: the transform of camera {name!r} is not a rotation and a translation")
         return pose
@@ -223,9 +224,9 @@ class McapRecording(Recording):
 
 
 def open_recording(path: Path) -> Recording:
-    """A recording folder or an MCAP file.
+    """An MCAP file, by its name, or a recording folder.
 
     Raises:
         InputError: when it is neither.
     """
-    return McapRecording(path) if path.suffix.lower() == ".mcap" or path.is_file() else Recording(path)
+    return McapRecording(path) if path.suffix.lower() == ".mcap" else Recording(path)

@@ -153,14 +153,21 @@ class McapSink:
 class Topics:
     """Foxglove's messages about a rig: what both recordings and live viewers are told."""
 
-    def __init__(self, sdk: Any, context: Any, rig: Rig, coding: Coding, clocks: Mapping[str, str]) -> None:
-        """``clocks``: the name of each camera's clock, where it is not the recording's own."""
+    def __init__(self, sdk: Any, context: Any, rig: Rig, coding: Coding) -> None:
         self.rig = rig
         self._coding: Coding = coding
         self._sdk, self._context = sdk, context
-        self._depth = {
-            camera.name: self._images(camera, "depth", clocks.get(camera.name, SHARED_CLOCK)) for camera in rig.cameras
-        }
+        self._depth: dict[str, Any] = {}
+        self._places = {
+            camera.name: (
+                sdk.channels.CameraCalibrationChannel(f"/{camera.name}/calibration", context=context),
+                sdk.channels.FrameTransformChannel(
+                    f"/{camera.name}/transform", context=context,
+                    metadata={"world_from_camera": json.dumps(camera.world_from_camera.tolist())},
+                ),
+            )
+            for camera in rig.cameras
+        }  # fmt: skip
         self._truth = None
 
     def _images(self, camera: DepthCamera, kind: str, clock: str) -> Any:
@@ -181,21 +188,17 @@ class Topics:
 
     def describe(self, timestamp_ns: int) -> None:
         """Calibration and place of every camera."""
-        messages, channels, at = self._sdk.messages, self._sdk.channels, self.time(timestamp_ns)
+        messages, at = self._sdk.messages, self.time(timestamp_ns)
         for camera in self.rig.cameras:
-            channel = channels.CameraCalibrationChannel(f"/{camera.name}/calibration", context=self._context)
-            channel.log(_calibration(messages, camera, at), log_time=timestamp_ns)
+            calibrations, transforms = self._places[camera.name]
+            calibrations.log(_calibration(messages, camera, at), log_time=timestamp_ns)
             x, y, z, w = Rotation.from_matrix(camera.world_from_camera[:3, :3]).as_quat().tolist()
             tx, ty, tz = camera.world_from_camera[:3, 3].tolist()
             transform = messages.FrameTransform(
                 timestamp=at, parent_frame_id=WORLD, child_frame_id=camera.name,
                 translation=messages.Vector3(x=tx, y=ty, z=tz), rotation=messages.Quaternion(x=x, y=y, z=z, w=w),
             )  # fmt: skip
-            channel = channels.FrameTransformChannel(
-                f"/{camera.name}/transform", context=self._context,
-                metadata={"world_from_camera": json.dumps(camera.world_from_camera.tolist())},
-            )  # fmt: skip
-            channel.log(transform, log_time=timestamp_ns)
+            transforms.log(transform, log_time=timestamp_ns)
 
     def background(self, name: str, raw: UInt16[ndarray, "h w"], timestamp_ns: int) -> None:
         """The empty scene."""
@@ -212,8 +215,10 @@ class Topics:
             timestamp=at, frame_id=name, width=width, height=height, encoding="16UC1", step=2 * width, data=data
         )
 
-    def depth(self, name: str, image: Any, log_time_ns: int) -> None:
-        """Log a picture that ``image`` made."""
+    def depth(self, name: str, image: Any, log_time_ns: int, clock: str = SHARED_CLOCK) -> None:
+        """Log a picture that ``image`` made. The clock is the first frame's."""
+        if name not in self._depth:
+            self._depth[name] = self._images(self.rig[name], "depth", clock)
         self._depth[name].log(image, log_time=log_time_ns)
 
     def truth(self, timestamp_ns: int, joints: Float[ndarray, "18 3"]) -> None:
@@ -249,11 +254,9 @@ class McapWriter:
         rig: Rig,
         backgrounds: Mapping[str, UInt16[ndarray, "_ _"]] | None = None,
         coding: Coding = "delta-zstd",
-        clocks: Mapping[str, str] | None = None,
         start_ns: int | None = None,
     ) -> None:
-        """Start a new file. ``clocks``: the name of each camera's clock; cameras that are not in it share one.
-        ``start_ns``: the time of the rig and the backgrounds, by default the time of day.
+        """Start a new file. ``start_ns``: the time of the rig and the backgrounds, by default the time of day.
 
         Raises:
             InputError: when the file exists or cannot be written, a background does not fit, or the SDK is missing.
@@ -268,7 +271,7 @@ class McapWriter:
         self._lock = threading.Lock()
         start_ns = time.time_ns() if start_ns is None else start_ns
         try:
-            self._topics = Topics(self._sink.sdk, self._sink.context, rig, coding, clocks or {})
+            self._topics = Topics(self._sink.sdk, self._sink.context, rig, coding)
             self._sink.metadata(METADATA, {"version": VERSION, "up": rig.up})
             self._topics.describe(start_ns)
             for name, raw in (backgrounds or {}).items():
@@ -278,9 +281,23 @@ class McapWriter:
             self._sink.close()
             raise
 
-    def write(self, name: str, timestamp_ns: int, raw: UInt16[ndarray, "_ _"], log_time_ns: int | None = None) -> None:
-        """Add a frame. ``log_time_ns`` is the host's time of day at its arrival, by which cameras of different clocks
-        are put together; by default the frame's own time.
+    def write(
+        self,
+        name: str,
+        timestamp_ns: int,
+        raw: UInt16[ndarray, "_ _"],
+        log_time_ns: int | None = None,
+        clock: str = SHARED_CLOCK,
+    ) -> None:
+        """Add a frame.
+
+        Args:
+            name: the camera.
+            timestamp_ns: the frame's time, by ``clock``.
+            raw: depth in the camera's units.
+            log_time_ns: the host's time of day at its arrival, by which cameras of different clocks are put together;
+                by default the frame's own time.
+            clock: its name; cameras with equal names share one.
 
         Raises:
             InputError: when it does not fit the rig, or the file cannot be written any further.
@@ -289,7 +306,7 @@ class McapWriter:
         image = self._topics.image(name, timestamp_ns, raw)  # the costly part needs no lock
         with self._lock:
             self._sink.check()
-            self._topics.depth(name, image, timestamp_ns if log_time_ns is None else log_time_ns)
+            self._topics.depth(name, image, timestamp_ns if log_time_ns is None else log_time_ns, clock)
             self._sink.flush()
             self.frames[name] += 1
 

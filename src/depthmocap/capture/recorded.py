@@ -1,54 +1,77 @@
-"""A camera of a recording as a source, as fast as it is read or at its own speed."""
+"""Cameras of recordings and of the synthetic generator as sources, as fast as they are read or at their own speed."""
 
 from __future__ import annotations
 
+import collections
+import threading
 import time
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import UInt16
+from numpy import ndarray
 
 from depthmocap.capture.recording import Recording
 from depthmocap.capture.source import CameraError, DepthFrame, DepthSource, NoFrame
 from depthmocap.errors import InputError
-from depthmocap.geometry import DepthCamera
+from depthmocap.frames import FrameSet
+from depthmocap.geometry import DepthCamera, Rig
+
+
+class Pace:
+    """When frames are due: ``speed`` times as fast as they were taken, or at once if that is 0.
+
+    Cameras that shall play in step share one.
+    """
+
+    def __init__(self, speed: float = 0.0) -> None:
+        if not 0 <= speed < float("inf"):
+            raise InputError(f"the speed must be a number of at least 0, got {speed}")
+        self._speed = speed
+        self._start: tuple[int, int] | None = None
+        self._lock = threading.Lock()
+
+    def wait(self, timestamp_ns: int, timeout_s: float) -> bool:
+        """Wait until a frame is due; False when ``timeout_s`` was over before. The first frame ever is due at once."""
+        if self._speed == 0:
+            return True
+        with self._lock:
+            if self._start is None:
+                self._start = (timestamp_ns, time.monotonic_ns())
+            first_ns, begun_ns = self._start
+        wait_s = ((timestamp_ns - first_ns) / self._speed - (time.monotonic_ns() - begun_ns)) / 1e9
+        time.sleep(min(max(wait_s, 0), timeout_s))
+        return wait_s <= timeout_s
 
 
 class RecordedCamera(DepthSource):
     """One camera of a recording. A frame that cannot be read is left out, as if it had been lost."""
 
-    def __init__(
-        self, recording: Recording, name: str, realtime: bool = False, start_ns: int | None = None, speed: float = 1.0
-    ) -> None:
-        """``realtime`` gives each frame when it is due, ``speed`` times as fast as it was recorded.
-
-        Cameras that shall play in step take the same ``start_ns``: the host time (``time.monotonic_ns``) at which the
-        recording's first set is due, by default when the camera is opened.
-
-        Raises:
-            CameraError: when the recording has no such camera, or no frame of it.
-        """
+    def __init__(self, recording: Recording, name: str, pace: Pace | None = None) -> None:
+        """Raises CameraError when the recording has no such camera, or no frame of it."""
         super().__init__(name)
         if name not in recording.rig.names:
             raise CameraError(f"{recording.path} has no camera {name!r}: it has {', '.join(recording.rig.names)}")
-        self._recording, self._realtime, self._start_ns, self._speed = recording, realtime, start_ns, speed
+        self.up = recording.up
+        self._recording, self._pace = recording, pace or Pace()
         self._stamps = recording.stamps(name)
         if not self._stamps:
             raise CameraError(f"{recording.path} has no frames of camera {name!r}")
-        self._origin_ns = min(min(recording.stamps(each), default=self._stamps[0]) for each in recording.rig.names)
         self._next = 0
+
+    @property
+    def raw_background(self) -> UInt16[ndarray, "h w"] | None:
+        return self._recording.raw_background(self.name)
 
     def _open(self) -> DepthCamera:
         self._next = 0
-        self._zero_ns = time.monotonic_ns() if self._start_ns is None else self._start_ns
         return self._recording.rig[self.name]
 
     def _read(self, timeout_s: float) -> DepthFrame | None:
         while self._next < len(self._stamps):
             stamp = self._stamps[self._next]
-            if self._realtime:
-                due_ns = self._zero_ns + round((stamp - self._origin_ns) / self._speed)
-                wait_s = (due_ns - time.monotonic_ns()) / 1e9
-                if wait_s > timeout_s:
-                    time.sleep(timeout_s)
-                    raise NoFrame(f"camera {self.name!r}: the next frame is due in {wait_s - timeout_s:.1f} s")
-                time.sleep(max(wait_s, 0))
+            if not self._pace.wait(stamp, timeout_s):
+                raise NoFrame(f"camera {self.name!r}: the next frame is not due yet")
             number, self._next = self._next, self._next + 1
             try:
                 raw = self._recording.raw(self.name, stamp)
@@ -57,6 +80,65 @@ class RecordedCamera(DepthSource):
             timestamp_ns, clock = self._recording.device_time(self.name, stamp)
             return DepthFrame(self.name, raw, timestamp_ns, clock, time.monotonic_ns(), number)
         return None
+
+    def _close(self) -> None:
+        """Nothing is held open."""
+
+
+class SyntheticScene:
+    """The moving person of the packaged demo, made anew as it is read, for all its cameras. Needs the extra train.
+
+    Attributes:
+        rig: the cameras.
+    """
+
+    def __init__(self, seed: int = 0, sets: int | None = None) -> None:
+        """``sets``: end after so many; by default the motion's length."""
+        from depthmocap.synth.demo import SETS, demo_frames, demo_rig
+
+        self.rig: Rig = demo_rig()
+        self._sets: Iterator[tuple[dict[str, int], FrameSet]] = demo_frames(seed, SETS if sets is None else sets)
+        self._ahead: dict[str, collections.deque[tuple[int, UInt16[ndarray, "_ _"]]]] = {
+            name: collections.deque() for name in self.rig.names
+        }
+        self._lock = threading.Lock()
+
+    def next_of(self, name: str) -> tuple[int, UInt16[ndarray, "_ _"]] | None:
+        """A camera's next timestamp (ns) and raw depth; None at the end."""
+        with self._lock:
+            if not self._ahead[name]:
+                if (made := next(self._sets, None)) is None:
+                    return None
+                stamps, frame_set = made
+                for view in frame_set.views:
+                    raw = np.round(view.depth_m / view.camera.depth_unit_m).astype(np.uint16)
+                    self._ahead[view.camera.name].append((stamps[view.camera.name], raw))
+            return self._ahead[name].popleft()
+
+
+class SyntheticCamera(DepthSource):
+    """One camera of a synthetic scene."""
+
+    def __init__(self, scene: SyntheticScene, name: str, pace: Pace | None = None) -> None:
+        """Raises CameraError when the scene has no such camera."""
+        super().__init__(name)
+        if name not in scene.rig.names:
+            raise CameraError(f"the synthetic scene has no camera {name!r}: it has {', '.join(scene.rig.names)}")
+        self._scene, self._pace, self._number = scene, pace or Pace(), 0
+        self._due: tuple[int, UInt16[ndarray, "_ _"]] | None = None
+
+    def _open(self) -> DepthCamera:
+        return self._scene.rig[self.name]
+
+    def _read(self, timeout_s: float) -> DepthFrame | None:
+        self._due = self._due or self._scene.next_of(self.name)
+        if self._due is None:
+            return None
+        timestamp_ns, raw = self._due
+        if not self._pace.wait(timestamp_ns, timeout_s):
+            raise NoFrame(f"camera {self.name!r}: the next frame is not due yet")
+        self._due, number, self._number = None, self._number, self._number + 1
+        return DepthFrame(self.name, raw, timestamp_ns, "recording", time.monotonic_ns(), number)
 
     def _close(self) -> None:
         """Nothing is held open."""

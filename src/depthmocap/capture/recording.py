@@ -10,8 +10,10 @@
 
 from __future__ import annotations
 
+import csv
 import struct
 from collections.abc import Iterator, Mapping
+from decimal import Decimal
 from pathlib import Path
 from types import TracebackType
 
@@ -206,6 +208,17 @@ class Recording:
             where = self._where(name, "background")
             raise InputError(f"{where} has no valid depth: record the empty scene again, or delete it")
         return depth_m
+
+    def truth_rows(self) -> list[tuple[int, Float[ndarray, "18 3"]]]:
+        """Times (ns) and true joints as they were recorded; times before the frames' count from the first."""
+        if (truth := self._load_truth()) is None:
+            return []
+        with (self.path / TRUTH_FILE).open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if row]
+        column = [name.strip() for name in rows[0]].index("time_s")
+        # As written: a float of seconds does not hold the nanoseconds of an epoch.
+        times_ns = [round(Decimal(row[column].strip()) * 10**9) for row in rows[1:]]
+        return list(zip(times_ns, truth[1], strict=True))
 
     def _load_truth(self) -> tuple[Float[ndarray, " rows"], Float[ndarray, "rows 18 3"]] | None:
         """Times (s) and joints as they were recorded."""

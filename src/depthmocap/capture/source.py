@@ -73,7 +73,10 @@ class DepthSource(abc.ABC):
 
     Attributes:
         name: of the camera in the rig and in recordings.
+        up: the world's up axis, where the source knows where it stands.
     """
+
+    up: str = "z"
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -102,6 +105,11 @@ class DepthSource(abc.ABC):
         if self._camera is None:
             raise CameraError(f"camera {self.name!r} is not open: use it in a with statement")
         return self._camera
+
+    @property
+    def raw_background(self) -> UInt16[ndarray, "h w"] | None:
+        """Raw depth of the empty scene; only recordings know it."""
+        return None
 
     def __enter__(self) -> DepthSource:
         if self._camera is not None:

@@ -1,0 +1,118 @@
+"""Cameras by name: what a user types to open one, and ``depthmocap cameras``, the list of those that are connected."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from depthmocap.capture.mcap_recording import open_recording
+from depthmocap.capture.recorded import Pace, RecordedCamera, SyntheticCamera, SyntheticScene
+from depthmocap.capture.source import CameraError, DepthSource, FoundCamera
+from depthmocap.errors import InputError
+
+#: Module of each back end. It has ``find()``, the connected devices, and ``make(name, address)``, a source.
+BACK_ENDS = {
+    "realsense": "depthmocap.capture.realsense",
+}
+SYNTHETIC = "synthetic"
+
+
+def make_sources(specs: Sequence[str], pace: Pace | None = None) -> list[DepthSource]:
+    """Sources, not opened yet, by what a user types.
+
+    ``[NAME=]realsense[:SERIAL]`` and the like are devices, the first that is found without a serial number; a path is a
+    recording with all its cameras, ``PATH#NAME`` one of them; ``synthetic`` is the generator.
+
+    Raises:
+        InputError: when a spec is none of these, or two cameras have one name or are one device.
+    """
+    pace = pace or Pace()
+    sources: list[DepthSource] = []
+    devices: dict[str, str] = {}
+    for spec in specs:
+        name, _, rest = spec.rpartition("=")
+        back_end, _, address = rest.partition(":")
+        if back_end in BACK_ENDS:
+            if rest in devices:
+                raise InputError(f"{spec} and {devices[rest]} are one device: give each its serial number")
+            devices[rest] = spec
+            module = importlib.import_module(BACK_ENDS[back_end])
+            sources.append(module.make(name or (f"{back_end}-{address}" if address else back_end), address))
+            continue
+        if spec.partition("#")[0] == SYNTHETIC:
+            scene = SyntheticScene()
+            names = _chosen(spec, scene.rig.names)
+            sources += [SyntheticCamera(scene, each, pace) for each in names]
+            continue
+        path = Path(spec) if Path(spec).exists() else Path(spec.rpartition("#")[0] or spec)
+        if not path.exists():
+            raise InputError(
+                f"{spec} is neither a recording nor a camera: cameras are {', '.join(BACK_ENDS)}, with :SERIAL where "
+                "there are several (depthmocap cameras lists them)"
+            )
+        recording = open_recording(path)
+        with_frames = [each for each in recording.rig.names if recording.stamps(each)]
+        names = with_frames if path == Path(spec) else [spec.rpartition("#")[2]]
+        sources += [RecordedCamera(recording, each, pace) for each in names]
+    names = [source.name for source in sources]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"two cameras are called {name!r}: put another name before one, as in left=realsense:SERIAL"
+            )
+    return sources
+
+
+def _chosen(spec: str, names: Sequence[str]) -> Sequence[str]:
+    _, one, name = spec.partition("#")
+    return [name] if one else names
+
+
+@dataclasses.dataclass(frozen=True)
+class CamerasSettings:
+    """List the depth cameras that are connected."""
+
+
+def find_cameras() -> tuple[list[FoundCamera], dict[str, str]]:
+    """The connected devices of all back ends, and why a back end could not look, by its name."""
+    found: list[FoundCamera] = []
+    unable: dict[str, str] = {}
+    for back_end, module in BACK_ENDS.items():
+        try:
+            found += importlib.import_module(module).find()
+        except InputError as error:
+            unable[back_end] = str(error)
+    return found, unable
+
+
+def list_cameras(settings: CamerasSettings, console: Console | None = None) -> list[FoundCamera]:
+    """Print the connected cameras, and for each kind that could not be looked for what is missing."""
+    console = console or Console()
+    found, unable = find_cameras()
+    table = Table()
+    for column in ("camera", "model", "serial", "problem"):
+        table.add_column(column)
+    for camera in found:
+        table.add_row(camera.spec, camera.model, camera.serial, camera.problem)
+    console.print(table if found else "no depth camera was found")
+    for back_end, reason in unable.items():
+        console.print(f"• {back_end}: {reason}", markup=False, highlight=False)
+    return found
+
+
+def open_camera(spec: str, pace: Pace | None = None) -> DepthSource:
+    """The one source that a spec names (see ``make_sources``), for a with statement.
+
+    Raises:
+        InputError: when it names none, or several.
+    """
+    sources = make_sources([spec], pace)
+    if len(sources) != 1:
+        names = ", ".join(source.name for source in sources)
+        raise CameraError(f"{spec} has the cameras {names}: choose one as {spec}#{sources[0].name}")
+    return sources[0]

@@ -1,0 +1,176 @@
+"""The contract that every camera keeps, on sources without hardware."""
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from depthmocap.capture.cameras import find_cameras, make_sources, open_camera
+from depthmocap.capture.recorded import Pace, RecordedCamera
+from depthmocap.capture.recording import Recording, RecordingWriter
+from depthmocap.capture.source import CameraError, DepthFrame, DepthSource, NoFrame, place
+from depthmocap.errors import InputError
+from depthmocap.geometry import DepthCamera, Rig
+
+CAMERA = DepthCamera("cam0", 8, 6, 7.0, 7.0, 4.0, 3.0, depth_unit_m=0.0005)
+
+
+class Scripted(DepthSource):
+    """Gives a frame whenever it is told to; fails, or hangs, when told to."""
+
+    def __init__(self) -> None:
+        super().__init__("cam0")
+        self.frames: list[int] = []
+        self.failure: Exception | None = None
+        self.closed = 0
+        self.release = threading.Event()
+
+    def _open(self) -> DepthCamera:
+        return CAMERA
+
+    def _read(self, timeout_s: float) -> DepthFrame | None:
+        if self.failure is not None:
+            raise self.failure
+        if not self.frames:
+            self.release.wait(0.01)
+            raise NoFrame("none yet")
+        stamp = self.frames.pop(0)
+        return DepthFrame("cam0", np.full((6, 8), stamp, np.uint16), stamp, "device 1", time.monotonic_ns())
+
+    def _close(self) -> None:
+        self.closed += 1
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Recording:
+    cameras = (CAMERA, DepthCamera("cam1", 8, 6, 7.0, 7.0, 4.0, 3.0))
+    with RecordingWriter(tmp_path / "rec", Rig(cameras, up="y")) as writer:
+        for i in range(4):
+            for k in range(2):
+                writer.write(10**9 + i * 20_000_000 + k, {f"cam{k}": np.full((6, 8), 100 * i + k + 1, np.uint16)})
+    return Recording(tmp_path / "rec")
+
+
+def test_every_frame_in_order(recording: Recording) -> None:
+    with RecordedCamera(recording, "cam1") as source:
+        assert source.camera.world_from_camera.shape == (4, 4)
+        frames = list(source)
+        assert source.read() is None
+    assert [frame.timestamp_ns for frame in frames] == recording.stamps("cam1")
+    assert [int(frame.raw[0, 0]) for frame in frames] == [2, 102, 202, 302]
+    assert [frame.number for frame in frames] == [0, 1, 2, 3]
+    assert {(frame.camera, frame.clock) for frame in frames} == {("cam1", "recording")}
+
+
+def test_a_closed_camera_says_so() -> None:
+    source = Scripted()
+    for use in (source.read, source.read_latest, lambda: source.camera):
+        with pytest.raises(CameraError, match="not open"):
+            use()
+    with source:
+        assert source.camera is CAMERA
+        with pytest.raises(CameraError, match="open already"):
+            source.__enter__()
+    assert source.closed == 1
+    with source:  # a source can be used again
+        pass
+    assert source.closed == 2
+
+
+def test_read_latest_skips_what_was_missed() -> None:
+    with Scripted() as source:
+        assert isinstance(source, Scripted)
+        source.frames = [1, 2, 3]
+        assert source.read_latest(1000.0).timestamp_ns >= 1
+        deadline = time.monotonic() + 5
+        while source.read_latest(60_000.0).timestamp_ns != 3 and time.monotonic() < deadline:
+            time.sleep(0.001)
+        assert source.read_latest(60_000.0).timestamp_ns == 3
+        with pytest.raises(CameraError, match="read_latest"):
+            source.read()
+
+
+def test_read_latest_refuses_what_is_old() -> None:
+    with Scripted() as source:
+        with pytest.raises(NoFrame, match="no frame yet"):
+            source.read_latest(1.0)
+        source.frames = [1]  # pyright: ignore[reportAttributeAccessIssue]
+        assert source.read_latest(5000.0).timestamp_ns == 1
+        time.sleep(0.03)
+        with pytest.raises(NoFrame, match="ms old"):
+            source.read_latest(10.0)
+
+
+@pytest.mark.parametrize("failure", [CameraError("unplugged"), RuntimeError("unplugged")])
+def test_a_camera_that_dies_is_told_where_frames_are_asked_for(failure: Exception) -> None:
+    with Scripted() as source:
+        source.failure = failure  # pyright: ignore[reportAttributeAccessIssue]
+        with pytest.raises(CameraError, match="unplugged"):
+            source.read_latest(5000.0)
+
+
+def test_the_end_of_a_recording_ends_read_latest(recording: Recording) -> None:
+    with RecordedCamera(recording, "cam0") as source, pytest.raises(CameraError, match="at its end"):
+        while True:
+            source.read_latest(1.0)
+
+
+def test_real_time_keeps_time(recording: Recording) -> None:
+    begun_ns = time.monotonic_ns()
+    with RecordedCamera(recording, "cam0", Pace(1.0)) as source:
+        arrivals = [frame.arrival_ns for frame in source]
+    late_ns = np.array(arrivals) - begun_ns - np.arange(4) * 20_000_000
+    assert (late_ns >= 0).all()  # never early; late is the machine's affair
+    with RecordedCamera(recording, "cam0", Pace(0.001)) as source:
+        assert source.read(0.1) is not None
+        with pytest.raises(NoFrame):
+            source.read(0.01)
+
+
+@pytest.mark.parametrize("speed", [-1.0, float("nan"), float("inf")])
+def test_bad_speeds(speed: float) -> None:
+    with pytest.raises(InputError, match="speed"):
+        Pace(speed)
+
+
+def test_a_frame_that_cannot_be_read_is_a_lost_one(recording: Recording) -> None:
+    (recording.path / "cam0" / f"{recording.stamps('cam0')[1]}.png").write_bytes(b"nonsense")
+    with RecordedCamera(recording, "cam0") as source:
+        assert [frame.number for frame in source] == [0, 2, 3]
+
+
+def test_the_rig_places_a_camera_and_the_device_scales_it() -> None:
+    pose = np.eye(4)
+    pose[0, 3] = 2.0
+    rig = Rig((DepthCamera("cam0", 8, 6, 9.0, 9.0, 4.0, 3.0, pose),))
+    placed = place(CAMERA, rig)
+    assert (placed.fx, placed.depth_unit_m, placed.world_from_camera[0, 3]) == (9.0, 0.0005, 2.0)
+    with pytest.raises(CameraError, match="calibrated at 8×6"):
+        place(DepthCamera("cam0", 16, 12, 9.0, 9.0, 4.0, 3.0), rig)
+    with pytest.raises(CameraError, match="no camera 'other'"):
+        place(DepthCamera("other", 8, 6, 9.0, 9.0, 4.0, 3.0), rig)
+
+
+def test_specs(recording: Recording, tmp_path: Path) -> None:
+    path = str(recording.path)
+    assert [source.name for source in make_sources([path])] == ["cam0", "cam1"]
+    with open_camera(f"{path}#cam1") as source:
+        assert source.camera.name == "cam1"
+    with pytest.raises(InputError, match="choose one as"):
+        open_camera(path)
+    with pytest.raises(InputError, match="no camera 'cam7'"):
+        make_sources([f"{path}#cam7"])
+    with pytest.raises(InputError, match="two cameras are called 'cam0'"):
+        make_sources([path, f"{path}#cam0"])
+    with pytest.raises(InputError, match="neither a recording nor a camera"):
+        make_sources([str(tmp_path / "nothing")])
+    with pytest.raises(InputError, match="one device"):
+        make_sources(["a=realsense:123", "b=realsense:123"])
+
+
+def test_looking_for_cameras_never_fails() -> None:
+    found, unable = find_cameras()
+    assert all("pip install" in reason or reason for reason in unable.values())
+    assert all(camera.spec for camera in found)
