@@ -34,13 +34,13 @@ def test_right_labels_swap_nothing() -> None:
     truth = body()
     swaps = PartSwaps()
     swaps.add(truth, truth)
-    assert dict(zip(PARTS, swaps.shown, strict=True)) == {part: part != "torso back" for part in PARTS}
+    assert (swaps.shown == 1).all()
     assert not swaps.swapped.any() and swaps.per_1000_views == 0
 
 
 def test_a_mirrored_body_swaps_every_limb() -> None:
     truth = body()
-    assert set(swapped(truth, MIRROR[truth])) == {"arm R", "arm L", "leg R", "leg L", "torso R", "torso L"}
+    assert set(swapped(truth, MIRROR[truth])) == {"arm R", "arm L", "leg R", "leg L", "torso, left for right"}
 
 
 def test_one_arm_on_the_other_side() -> None:
@@ -63,7 +63,11 @@ def test_front_for_back() -> None:
     for front, back in exchange.items():
         for side, other in ("RL", "LR"):
             predicted[truth == REGION[f"{front} {side}"]] = REGION[f"{back} {other}"]
-    assert swapped(truth, predicted) == {"torso R": 1, "torso L": 1, "torso front": 1}
+    assert swapped(truth, predicted) == {"torso, left for right": 1, "torso, front for back": 1}
+    # A sliver of the front on a torso seen from behind may be lost: the torso as a whole is not swapped.
+    behind = np.concatenate([predicted, truth[truth == REGION["chest R"]]])
+    labels = np.concatenate([predicted, np.full(100, REGION["upper back R"], np.uint8)])
+    assert swapped(behind, labels) == {}
 
 
 def test_parts_hardly_seen_and_unknown_pixels_are_not_judged() -> None:

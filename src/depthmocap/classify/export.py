@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
+import logging
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,8 +33,7 @@ def export_onnx(network: Network, path: Path, metadata: dict[str, str]) -> Path:
 
     network = copy.deepcopy(network).cpu().eval()
     example = torch.zeros(2, *network.input_shape)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with _quiet():
         program = torch.onnx.export(
             network, (example,), input_names=["windows"], output_names=["logits"], dynamo=True, verbose=False,
             dynamic_shapes={"x": {0: torch.export.Dim("n", min=1)}},
@@ -46,6 +48,20 @@ def export_onnx(network: Network, path: Path, metadata: dict[str, str]) -> Path:
     onnx.save(model, partial)
     partial.replace(path)
     return path
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the exporter's warnings about its own futures and about packages that are not needed here."""
+    logger = logging.getLogger("torch.onnx")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)
 
 
 def store_half(model: onnx.ModelProto) -> None:

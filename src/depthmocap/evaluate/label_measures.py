@@ -15,20 +15,33 @@ _ARM = ("upper arm", "elbow", "forearm", "wrist", "hand")
 _LEG = ("thigh", "knee", "shin", "ankle", "forefoot")
 _FRONT = ("chest", "belly", "shoulder front")
 _BACK = ("upper back", "lower back", "shoulder back")
-#: Each part of the body: its regions, and the part it is swapped with.
-_PARTS: dict[str, tuple[tuple[str, ...], str]] = {
-    **{f"{name} {side}": (tuple(f"{each} {side}" for each in regions), f"{name} {other}")
-       for name, regions in (("arm", _ARM), ("leg", _LEG), ("torso", _FRONT + _BACK))
-       for side, other in (("R", "L"), ("L", "R"))},
-    "torso front": (tuple(f"{each} {side}" for each in _FRONT for side in "RL"), "torso back"),
-    "torso back": (tuple(f"{each} {side}" for each in _BACK for side in "RL"), "torso front"),
-}  # fmt: skip
+
+
+def _regions(names: tuple[str, ...], sides: str) -> list[int]:
+    return [REGION[f"{name} {side}"] for name in names for side in sides]
+
+
+#: Each part of the body: its regions, each group of them with the regions that they are swapped with.
+_PARTS: dict[str, list[tuple[list[int], list[int]]]] = {
+    **{
+        f"{name} {side}": [(_regions(names, side), _regions(names, other))]
+        for name, names in (("arm", _ARM), ("leg", _LEG))
+        for side, other in ("RL", "LR")
+    },
+    "torso, left for right": [
+        (_regions(_FRONT + _BACK, side), _regions(_FRONT + _BACK, other)) for side, other in ("RL", "LR")
+    ],
+    "torso, front for back": [
+        (_regions(names, "RL"), _regions(others, "RL")) for names, others in ((_FRONT, _BACK), (_BACK, _FRONT))
+    ],
+}
 PARTS = tuple(_PARTS)
-_OPPOSITE = np.array([PARTS.index(opposite) for _, opposite in _PARTS.values()])
-#: Row p has a 1 at every region of part p.
-_MEMBERS = np.zeros((len(PARTS), REGION_COUNT + 1), dtype=np.int64)
-for _row, (_regions, _) in zip(_MEMBERS, _PARTS.values(), strict=True):
-    _row[[REGION[_name] for _name in _regions]] = 1
+#: By part, true region and predicted region: 1 where the true one is of the part, and where they are swapped.
+_OF_PART, _SWAPPED = np.zeros((2, len(PARTS), REGION_COUNT + 1, REGION_COUNT + 1), dtype=np.int64)
+for _part, _groups in enumerate(_PARTS.values()):
+    for _own, _opposite in _groups:
+        _OF_PART[_part, _own] = 1
+        _SWAPPED[_part][np.ix_(_own, _opposite)] = 1
 #: A part of which a window shows fewer labelled pixels is not judged.
 LEAST_PIXELS = 60
 
@@ -42,8 +55,8 @@ class PartSwaps:
     """Parts of the body that are labelled as their opposite: left for right, front for back.
 
     A part that a view shows (with at least ``LEAST_PIXELS`` labelled pixels) is swapped where more than half of those
-    are given regions of the opposite part. A torso taken from behind for one from the front counts as swapped in both
-    ways, since its sides change as well.
+    are given regions of the opposite part: of the other arm, of the torso's other side, of its back for its front. A
+    back taken for a front is swapped in both ways, since its sides change as well.
     """
 
     views: int = 0
@@ -59,8 +72,7 @@ class PartSwaps:
         classes = REGION_COUNT + 1
         pairs = labels_true[counted].astype(np.int64) * classes + labels_predicted[counted]
         confusion = np.bincount(pairs, minlength=classes**2).reshape(classes, classes)
-        by_part = _MEMBERS @ confusion
-        total, opposite = by_part.sum(1), (by_part * _MEMBERS[_OPPOSITE]).sum(1)
+        total, opposite = ((each * confusion).sum((1, 2)) for each in (_OF_PART, _SWAPPED))
         shown = total >= LEAST_PIXELS
         swapped = shown & (2 * opposite > total)
         self.views += 1
