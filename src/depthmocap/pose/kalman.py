@@ -1,9 +1,9 @@
 """A Kalman filter for every joint.
 
-A joint's velocity is an Ornstein–Uhlenbeck process: it keeps its direction for a while (``memory_s``) and dies away,
-with a usual size (``speed_mps``) that it returns to. For frames that are near to each other this is the
-constant-velocity model; over a gap the prediction comes to rest instead of flying off. With a = exp(−t/τ) and
-q = 2 speed² / τ:
+A joint's velocity is an Ornstein–Uhlenbeck process: it lasts for a while (``memory_s``) and dies away, and chance adds
+to it. For frames that are near to each other this is the constant-velocity model; over a gap the prediction comes to
+rest instead of flying off. What chance adds grows with the present speed v, so that a joint at rest is held still and
+a fast one is followed. With a = exp(−t/τ) and q = 2 (still² + agility² v²) / τ:
 
     position += τ (1 − a) velocity,  velocity ·= a
     Q = [ q τ² (t − 2τ(1 − a) + τ(1 − a²)/2),  q τ² (1 − a)² / 2 ;  ·,  q τ (1 − a²) / 2 ]
@@ -25,6 +25,8 @@ from depthmocap.errors import InputError
 from depthmocap.frames import Pose
 from depthmocap.pose.filter import FORGET_S, PoseFilter, seen_joints
 
+#: Speed along an axis that a joint may have when it is first seen.
+_START_MPS = 0.5
 #: Confidence of a joint that was not seen in the frame, but bridged.
 BRIDGED = 0.05
 
@@ -34,7 +36,8 @@ class KalmanSettings:
     """How joints move, and how well they are measured.
 
     Attributes:
-        speed_mps: usual speed along an axis.
+        still_mps: speed along an axis that chance gives a joint at rest.
+        agility: and, to one that moves, so many times its present speed.
         memory_s: how long a velocity lasts.
         sure_m, unsure_m: error of a measurement along an axis with confidence 1 and 0; between them geometrically.
         outlier: deviations from what is expected beyond which a measurement counts for less.
@@ -42,18 +45,21 @@ class KalmanSettings:
         bridge_s: a joint that is missing is predicted for so long, with confidence ``BRIDGED``; 0 leaves gaps.
     """
 
-    speed_mps: float = 0.5
+    still_mps: float = 0.05
+    agility: float = 2.0
     memory_s: float = 0.2
-    sure_m: float = 0.01
-    unsure_m: float = 0.1
+    sure_m: float = 0.006
+    unsure_m: float = 0.5
     outlier: float = 4.0
     restart_s: float = 0.2
     bridge_s: float = 0.0
 
     def __post_init__(self) -> None:
-        positive = (self.speed_mps, self.memory_s, self.sure_m, self.unsure_m, self.outlier)
-        if not (min(positive) > 0 and self.restart_s >= 0 and self.bridge_s >= 0):
-            raise InputError(f"Kalman filter: values must be above 0, restart and bridge at least 0; got {self}")
+        positive = (self.still_mps, self.memory_s, self.sure_m, self.unsure_m, self.outlier)
+        if not (min(positive) > 0 and min(self.agility, self.restart_s, self.bridge_s) >= 0):
+            raise InputError(
+                f"Kalman filter: values must be above 0; agility, restart and bridge at least 0; got {self}"
+            )
         if self.bridge_s > FORGET_S:
             raise InputError(f"gaps are bridged for {FORGET_S} s at most, not {self.bridge_s} s")
 
@@ -76,12 +82,12 @@ class Belief:
         return Belief(np.where(mask, self.mean, other.mean), np.where(mask, self.covariance, other.covariance))
 
 
-def transition(settings: KalmanSettings, period_s: float) -> tuple[Float64[ndarray, "2 2"], Float64[ndarray, "2 2"]]:
-    """How (position, velocity) go on over a time (s), and the covariance of what is added to them."""
-    tau, kept = settings.memory_s, np.exp(-period_s / settings.memory_s)
-    q = 2 * settings.speed_mps**2 / tau
-    position = q * tau**2 * (period_s - 2 * tau * (1 - kept) + tau * (1 - kept**2) / 2)
-    both, velocity = q * tau**2 * (1 - kept) ** 2 / 2, q * tau * (1 - kept**2) / 2
+def transition(tau: float, period_s: float) -> tuple[Float64[ndarray, "2 2"], Float64[ndarray, "2 2"]]:
+    """How (position, velocity) with a memory tau (s) go on over a time (s), and the covariance of what chance adds at a
+    speed of 1 m/s."""
+    kept = np.exp(-period_s / tau)
+    position = 2 * tau * (period_s - 2 * tau * (1 - kept) + tau * (1 - kept**2) / 2)
+    both, velocity = tau * (1 - kept) ** 2, 1 - kept**2
     return np.array([[1, tau * (1 - kept)], [0, kept]]), np.array([[position, both], [both, velocity]])
 
 
@@ -133,8 +139,11 @@ class Kalman(PoseFilter):
         settings, now_ns = self._settings, pose.timestamp_ns
         if self._now_ns is not None and now_ns < self._now_ns:
             self.reset()
-        self.step, added = transition(settings, 0.0 if self._now_ns is None else (now_ns - self._now_ns) / 1e9)
-        mean, covariance = self.step @ self.belief.mean, self.step @ self.belief.covariance @ self.step.T + added
+        period_s = 0.0 if self._now_ns is None else (now_ns - self._now_ns) / 1e9
+        self.step, added = transition(settings.memory_s, period_s)
+        chance = settings.still_mps**2 + settings.agility**2 * (self.belief.mean[:, 1] ** 2).mean(1)
+        mean = self.step @ self.belief.mean
+        covariance = self.step @ self.belief.covariance @ self.step.T + chance[:, None, None] * added
         away_s = (now_ns - self._seen_ns) / 1e9
         lost = away_s > FORGET_S
         self.predicted = Belief.nothing().where(lost, Belief(mean, covariance))
@@ -153,7 +162,7 @@ class Kalman(PoseFilter):
         self.began = seen & (~known | stuck)
         start = Belief(
             np.stack([joints, np.zeros_like(joints)], 1),
-            noise[:, None, None] * np.diag([1.0, 0.0]) + np.diag([0.0, settings.speed_mps**2]),
+            noise[:, None, None] * np.diag([1.0, 0.0]) + np.diag([0.0, _START_MPS**2]),
         )
         doubted = noise * np.where(outlying, excess, 1)
         gain = self.predicted.covariance[:, :, 0] / (self.predicted.covariance[:, 0, 0] + doubted)[:, None]

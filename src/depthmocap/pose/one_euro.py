@@ -28,9 +28,9 @@ class OneEuroSettings:
         speed_hz: cutoff of the speed itself.
     """
 
-    still_hz: float = 1.5
-    per_speed_hz: float = 8.0
-    speed_hz: float = 2.0
+    still_hz: float = 1.0
+    per_speed_hz: float = 30.0
+    speed_hz: float = 1.0
 
     def __post_init__(self) -> None:
         if not (self.still_hz > 0 and self.speed_hz > 0 and self.per_speed_hz >= 0):

@@ -1,8 +1,8 @@
 """Left and right do not change places between two frames: where an estimate says so, it is undone.
 
 The legs, and the arms, are compared with where they should be by now. When exchanging their sides fits that much
-better, they are exchanged. A start on the wrong side would be kept for ever so; therefore an exchange is undone for
-``limit_s`` at most, and then believed.
+better, they are exchanged. A start on the wrong side would be kept for ever so; therefore the time undone is counted,
+less the time that fits, and at ``limit_s`` the estimate is believed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class SideSettings:
     Attributes:
         ratio: exchanged joints are off by less than this share of what they are off as they are,
         gain_m: and by so much less on average.
-        limit_s: an exchange that lasts so long is believed.
+        limit_s: an exchange is believed when it was there for so long more than it was not.
     """
 
     ratio: float = 0.5
@@ -66,12 +66,13 @@ class SideGuard:
         self._velocity = np.zeros((len(JOINTS), 3))
         self._seen_ns = np.zeros(len(JOINTS), np.int64)
         self._now_ns = 0
-        self._exchanged_ns: dict[str, int | None] = dict.fromkeys(LIMBS)
+        self._undone_s = dict.fromkeys(LIMBS, 0.0)
 
     def __call__(self, pose: Pose) -> Pose:
         """The pose with sides as they were."""
         if pose.timestamp_ns < self._now_ns:
             self.reset()
+        since_s = (pose.timestamp_ns - self._now_ns) / 1e9
         self._now_ns = pose.timestamp_ns
         away_s = (pose.timestamp_ns - self._seen_ns) / 1e9
         self._joints[away_s > FORGET_S] = np.nan
@@ -80,12 +81,11 @@ class SideGuard:
         joints, confidence = pose.joints.astype(np.float64), pose.confidence.copy()
         for limb, pair in _PAIRS.items():
             if not self._changed_places(joints, expected, pair):
-                self._exchanged_ns[limb] = None
+                self._undone_s[limb] = max(self._undone_s[limb] - since_s, 0.0)
                 continue
-            since = self._exchanged_ns[limb]
-            since = self._exchanged_ns[limb] = pose.timestamp_ns if since is None else since
-            if (pose.timestamp_ns - since) / 1e9 >= self.settings.limit_s:
-                self._exchanged_ns[limb] = None
+            self._undone_s[limb] += since_s
+            if self._undone_s[limb] > self.settings.limit_s:
+                self._undone_s[limb] = 0.0
                 self._joints[pair] = np.nan
             else:
                 order = np.where(pair, MIRROR, np.arange(len(JOINTS)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from depthmocap.errors import InputError
 from depthmocap.frames import Pose
@@ -15,6 +15,7 @@ from depthmocap.pose.sides import SideGuard, SideSettings
 from depthmocap.pose.smooth import Average
 
 FilterName = Literal["average", "one-euro", "kalman", "fixed-lag"]
+FILTERS: tuple[FilterName, ...] = get_args(FilterName)
 Smoothing = Literal["auto", "none", "average", "one-euro", "kalman", "fixed-lag"]
 #: What "auto" stands for where frames follow each other; see docs/smoothing.md for the measurement.
 AUTO: FilterName = "kalman"

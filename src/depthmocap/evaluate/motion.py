@@ -1,0 +1,198 @@
+"""``depthmocap evaluate motion``: what the filters over time do to joints that were estimated frame by frame."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from depthmocap.body.skeleton import JOINTS, MIRROR
+from depthmocap.classify.runtime import Classifier
+from depthmocap.errors import InputError
+from depthmocap.evaluate.moving import FPS, clip_motions, moving_frames, prior_motions
+from depthmocap.evaluate.temporal_metrics import TemporalMetrics, temporal_metrics
+from depthmocap.evaluate.tracks import Track, TrackStore, estimate_track
+from depthmocap.frames import Pose
+from depthmocap.pose.estimate import load_estimator
+from depthmocap.pose.filter import PoseFilter
+from depthmocap.pose.sides import LIMBS, limb_joints
+from depthmocap.pose.track import FILTERS, load_filter
+from depthmocap.settings import check_seed, plain_settings
+from depthmocap.synth.sample import Split
+from depthmocap.synth.sensing.sensors import find_sensor
+
+#: Settings that the estimates do not depend on, or that only tell how many there are.
+_NOT_BINDING = ("out", "sequences", "sides_wrong", "lag_frames", "json")
+#: Columns of the table: field, heading, digits.
+_COLUMNS = (
+    ("mean_joint_error_cm", "error cm", 2),
+    ("acceleration_error_mm", "accel. error mm/frame²", 1),
+    ("acceleration_error_mps2", "m/s²", 1),
+    ("rest_jitter_mm", "jitter at rest mm", 2),
+    ("foot_skate_cmps", "foot skate cm/s", 1),
+    ("bone_deviation_mm", "bones ± mm", 1),
+    ("flips_per_1000", "flips /1000", 1),
+    ("lag_ms", "lag ms", 0),
+    ("waits_ms", "waits ms", 0),
+    ("us_per_frame", "CPU µs", 0),
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionEvaluation:
+    """Joints over time on generated sequences: a person moves, cameras with errors look, the network labels, joints
+    are estimated frame by frame, and every filter is applied to them.
+
+    Attributes:
+        out: folder for the estimates, which are made once: run again, only the filters are.
+        postures: folder of motion capture clips; without it motion is from posture to posture of the packaged prior.
+        split: of the clips.
+        sequences: so many, each of another clip and another person.
+        seconds: of motion a sequence, before it comes to rest.
+        views: cameras; the numbers are of 1, and of all of them.
+        sensors: each camera is one of these.
+        sides_wrong: a fault: share (0–1) of frames whose legs or arms or both are given the wrong sides.
+        lag_frames: that the fixed-lag smoother waits for.
+        weights: a classifier.onnx of your own.
+        estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
+        json: file for all numbers.
+    """
+
+    out: Path
+    postures: Path | None = None
+    split: Split = "test"
+    sequences: int = 8
+    seconds: float = 3.0
+    views: int = 3
+    sensors: tuple[str, ...] = ("kinect2", "azure-nfov-binned")
+    seed: int = 0
+    sides_wrong: float = 0.0
+    lag_frames: int = 4
+    weights: Path | None = None
+    estimator: str = "votes"
+    json: Path | None = None
+
+    def __post_init__(self) -> None:
+        check_seed(self.seed)
+        if min(self.sequences, self.views) < 1 or not 1 <= self.seconds <= 60 or not self.sensors:
+            raise InputError("--sequences, --views and --sensors take at least 1, --seconds 1 to 60")
+        if not 0 <= self.sides_wrong < 1:
+            raise InputError(f"--sides-wrong must be at least 0 and below 1, got {self.sides_wrong}")
+
+
+def evaluate_motion(settings: MotionEvaluation, console: Console | None = None) -> dict[str, Any]:
+    """Make or read the estimates and measure every filter; returns the numbers by views and filter.
+
+    Raises:
+        InputError: clips, weights or sensors that cannot be read, or estimates in ``out`` of other settings.
+    """
+    console = console or Console(stderr=True)
+    tracks = make_tracks(settings, console)
+    numbers: dict[str, Any] = {
+        "settings": plain_settings(settings),
+        "sequences": [track.name for track in tracks],
+        "frames": sum(len(track.truth) for track in tracks),
+    }
+    for views in sorted({1, settings.views}):
+        poses = [
+            _wrong_sides(track.poses(views), settings.sides_wrong, np.random.default_rng([settings.seed, 2, i]))
+            for i, track in enumerate(tracks)
+        ]
+        truths = [track.truth for track in tracks]
+        rows = {"none": _measure(lambda: None, poses, truths)}
+        for name in FILTERS:
+            rows[name] = _measure(lambda name=name: load_filter(name, settings.lag_frames), poses, truths)
+        numbers[f"views {views}"] = rows
+        console.print(_table(f"{numbers['frames']} frames, {views} view{'s' * (views > 1)}", rows))
+    if settings.json is not None:
+        settings.json.parent.mkdir(parents=True, exist_ok=True)
+        settings.json.write_text(json.dumps(numbers, indent=1) + "\n")
+    return numbers
+
+
+def make_tracks(settings: MotionEvaluation, console: Console) -> list[Track]:
+    """The sequences' estimates, read or made."""
+    binding = {k: v for k, v in plain_settings(settings).items() if k not in _NOT_BINDING}
+    sensors = tuple(find_sensor(name) for name in settings.sensors)
+    store = TrackStore(settings.out, binding)
+    tracks = [store.load(index) for index in range(settings.sequences)]
+    found = [track for track in tracks if track is not None]
+    if len(found) == len(tracks):
+        return found
+    rng = np.random.default_rng([settings.seed, 0])
+    if settings.postures is None:
+        motions = prior_motions(settings.sequences, settings.seconds, rng)
+    else:
+        motions = clip_motions(settings.postures, settings.split, settings.sequences, settings.seconds, rng)
+    classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)
+    found = []
+    with Progress(console=console) as progress:
+        for index, motion in enumerate(progress.track(motions, settings.sequences, description="estimating")):
+            track = tracks[index]
+            if track is None:
+                rng = np.random.default_rng([settings.seed, 1, index])
+                frames = moving_frames(motion, settings.views, sensors, rng)
+                track = estimate_track(motion.name, frames, classifier, estimator)
+                store.save(index, track)
+            found.append(track)
+    return found
+
+
+def apply_filter(filter_: PoseFilter | None, poses: Sequence[Pose]) -> list[Pose]:
+    """A whole stream through a filter: a result for every pose, of its own time."""
+    if filter_ is None:
+        return list(poses)
+    return [filter_(pose) for pose in poses][filter_.delay_frames :] + filter_.finish()
+
+
+def _measure(
+    make: Callable[[], PoseFilter | None], streams: list[list[Pose]], truths: list[Float[ndarray, "_ 18 3"]]
+) -> dict[str, float]:
+    """Numbers of one filter; ``lag_ms`` is of the poses by their own time, ``waits_ms`` comes on top of it."""
+    filter_, estimates = make(), []
+    start = time.process_time()
+    for poses in streams:
+        estimates.append(np.stack([pose.joints for pose in apply_filter(filter_, poses)]))
+        if filter_ is not None:
+            filter_.reset()
+    spent_s = time.process_time() - start
+    found: TemporalMetrics = temporal_metrics(estimates, truths, 1 / FPS)
+    return dataclasses.asdict(found) | {
+        "waits_ms": 1e3 * filter_.delay_frames / FPS if filter_ else 0.0,
+        "us_per_frame": 1e6 * spent_s / sum(map(len, streams)),
+    }
+
+
+def _wrong_sides(poses: list[Pose], share: float, rng: np.random.Generator) -> list[Pose]:
+    """The poses, in a share of which the legs, the arms or both have changed places."""
+    if not share:
+        return poses
+    limbs = [limb_joints(limb) for limb in LIMBS]
+    choices = [*limbs, np.any(limbs, axis=0)]
+    spoilt = []
+    for pose in poses:
+        if rng.random() < share:
+            order = np.where(choices[rng.integers(len(choices))], MIRROR, np.arange(len(JOINTS)))
+            pose = Pose(pose.timestamp_ns, pose.joints[order], pose.confidence[order])
+        spoilt.append(pose)
+    return spoilt
+
+
+def _table(title: str, rows: dict[str, dict[str, float]]) -> Table:
+    table = Table(title=title)
+    table.add_column("filter")
+    for _, heading, _ in _COLUMNS:
+        table.add_column(heading, justify="right")
+    for name, numbers in rows.items():
+        table.add_row(name, *(f"{numbers[field]:.{digits}f}" for field, _, digits in _COLUMNS))
+    return table

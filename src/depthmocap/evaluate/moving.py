@@ -1,0 +1,176 @@
+"""Moving people for measuring over time: continuous motion of known joints, seen by depth cameras with their errors.
+
+Motion is of clips, or eased from posture to posture of the packaged prior. Clips give postures only, so the way over
+the floor follows from the feet: the one that stands stays where it is. Every sequence ends at rest.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.spatial.transform import Rotation
+
+from depthmocap.body.model import Body, BodyModel, Phenotype
+from depthmocap.body.posture import heading, turn_posture
+from depthmocap.body.skeleton import JOINT_INDEX
+from depthmocap.errors import InputError
+from depthmocap.frames import FrameSet, View
+from depthmocap.synth.motion.mocap import Clip, ClipFolder, split_of
+from depthmocap.synth.motion.postures import PosturePrior, anny_rest
+from depthmocap.synth.people.bodies import random_dressed
+from depthmocap.synth.people.garments import DressedBody
+from depthmocap.synth.render import PosedPerson, render_person
+from depthmocap.synth.sample import CameraRange, Split, random_camera
+from depthmocap.synth.sensing.sensor import sense
+from depthmocap.synth.sensing.sensors import SensorPreset
+
+#: Frames a second; that of clips as they are read.
+FPS = 30.0
+#: A sequence ends with a stop eased over the first, and rest for the second time.
+STOP_S, REST_S = 0.4, 0.7
+#: The pelvis keeps this near to the middle of its way, so that cameras that stand still see it.
+REACH_M = 1.0
+#: Cameras stand where a moving person stays in the picture.
+CAMERAS = CameraRange(distance_m=(2.4, 3.8), height_m=(0.8, 2.3))
+#: A foot carries the body when it is about this much lower than the other.
+_STANDING_M = 0.015
+#: Of the prior: seconds from posture to posture, the longest turn between two, and how long each is held.
+_CHANGE_S, _TURN_RAD, _HOLD_S = (0.5, 1.2), 0.7, 0.3
+_FEET = [JOINT_INDEX["LFoot"], JOINT_INDEX["RFoot"]]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Motion:
+    """Postures at ``FPS`` frames a second, and where they are from."""
+
+    name: str
+    postures: Float[ndarray, "t 20 3"]
+
+
+def clip_motions(folder: Path, split: Split, count: int, seconds: float, rng: np.random.Generator) -> Iterator[Motion]:
+    """Parts of a split's clips, one of each clip, in random order: ``seconds`` of motion, then rest.
+
+    Clips that are shorter, that travel too far, or of whose frames any is impossible are passed over.
+
+    Raises:
+        InputError: when the folder has fewer such clips.
+    """
+    clips = ClipFolder.open(folder)
+    files = [path for path in clips.files if split_of(path.stem) == split]
+    files = [files[i] for i in rng.permutation(len(files))]
+    found = 0
+    body = BodyModel.load().shape(Phenotype())
+    for clip in dataclasses.replace(clips, files=files).read(anny_rest()):
+        if found == count:
+            return
+        if isinstance(clip, Clip) and len(clip.postures) == clip.frames:
+            part = _liveliest(body, clip.postures.astype(np.float64), round(seconds * FPS))
+            if part is not None:
+                found += 1
+                yield Motion(clip.name, _to_rest(part))
+    if found < count:
+        raise InputError(
+            f"{folder}: {found} clips of the {split} split have {seconds:g} s of motion within {REACH_M} m, "
+            f"{count} are wanted; lower --sequences or --seconds, or give more clips"
+        )
+
+
+def prior_motions(count: int, seconds: float, rng: np.random.Generator) -> Iterator[Motion]:
+    """Motion from posture to posture of the packaged prior, each held a while; then rest."""
+    prior = PosturePrior.load()
+    for index in range(count):
+        times, keys = [0.0], [prior.sample(rng)[0]]
+        while times[-1] < seconds + STOP_S:
+            following = prior.sample(rng)[0]
+            turn = heading(keys[-1]) - heading(following) + rng.uniform(-_TURN_RAD, _TURN_RAD)
+            following = turn_posture(following, turn)
+            times += [times[-1] + _HOLD_S, times[-1] + _HOLD_S + rng.uniform(*_CHANGE_S)]
+            keys += [keys[-1], following]
+        at = np.arange(round(seconds * FPS)) / FPS
+        yield Motion(f"prior {index}", _to_rest(_between(np.array(times), np.stack(keys), at, eased=True)))
+
+
+def _between(
+    times: Float[ndarray, "k"], keys: Float[ndarray, "k 20 3"], at: Float[ndarray, "t"], eased: bool = False
+) -> Float[ndarray, "t 20 3"]:
+    """Postures at times, every bone turned along the shortest way between its keys."""
+    before = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
+    share = np.clip((at - times[before]) / (times[before + 1] - times[before]), 0, 1)
+    if eased:
+        share = share**3 * (10 - 15 * share + 6 * share**2)  # least jerk: at rest at both ends
+    start, end = (Rotation.from_rotvec(keys[i].reshape(-1, 3)) for i in (before, before + 1))
+    turn = (start.inv() * end).as_rotvec() * np.repeat(share, keys.shape[1])[:, None]
+    return (start * Rotation.from_rotvec(turn)).as_rotvec().reshape(len(at), -1, 3)
+
+
+def _to_rest(postures: Float[ndarray, "t 20 3"]) -> Float[ndarray, "u 20 3"]:
+    """The motion slowed down to a stop over its last ``STOP_S``, which take twice as long, then still."""
+    stop, rest = round(STOP_S * FPS), round(REST_S * FPS)
+    last = len(postures) - 1
+    steps = np.arange(1, 2 * stop + 1) / (2 * stop)
+    slowing = last - stop + stop * (2 * steps - steps**2)
+    at = np.concatenate([np.arange(last - stop + 1), slowing, np.full(rest, last)])
+    return _between(np.arange(len(postures), dtype=float), postures, np.minimum(at, last))
+
+
+def _liveliest(body: Body, postures: Float[ndarray, "n 20 3"], length: int) -> Float[ndarray, "t 20 3"] | None:
+    """The ``length`` frames that turn the bones most of those that stay within reach; None where there are none."""
+    if len(postures) < length:
+        return None
+    way = np.lib.stride_tricks.sliding_window_view(way_over_floor(body, postures), length, axis=0)
+    near = np.ptp(way, axis=-1).max(1) <= 2 * REACH_M
+    if not near.any():
+        return None
+    flat = Rotation.from_rotvec(postures.reshape(-1, 3))
+    bones = postures.shape[1]
+    turns = (flat[:-bones].inv() * flat[bones:]).magnitude().reshape(-1, bones).sum(1)
+    total = np.concatenate([[0.0], np.cumsum(turns)])
+    lively = np.where(near, total[length - 1 :] - total[: len(near)], -1.0)
+    first = int(lively.argmax())
+    return postures[first : first + length]
+
+
+def way_over_floor(body: Body, postures: Float[ndarray, "t 20 3"]) -> Float[ndarray, "t 2"]:
+    """How far the pelvis is from where it is at rest, in x and y, when the foot that carries the body does not slip;
+    around the origin."""
+    bones = body.model.joint_bones[_FEET]
+    feet = np.stack([body.bone_transforms(posture).heads[bones] for posture in postures]).astype(np.float64)
+    height = feet[:, :, 2] - feet[:, :, 2].min(1, keepdims=True)
+    load = np.exp(-height / _STANDING_M)
+    load /= load.sum(1, keepdims=True)
+    load = (load[1:] + load[:-1]) / 2
+    steps = -(load[:, :, None] * np.diff(feet[:, :, :2], axis=0)).sum(1)
+    way = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    return way - (way.max(0) + way.min(0)) / 2
+
+
+def moving_frames(
+    motion: Motion, views: int, sensors: tuple[SensorPreset, ...], rng: np.random.Generator
+) -> Iterator[FrameSet]:
+    """The motion of a random dressed person on the floor z = 0, as random cameras see it, with true masks and joints.
+
+    All cameras look at the same instant; frame times count from 0.
+    """
+    dressed = random_dressed(rng, "open")
+    way = np.pad(way_over_floor(dressed.body, motion.postures), ((0, 0), (0, 1)))
+    middle = _standing(dressed, motion.postures[0], np.zeros(3)).body
+    presets = [sensors[int(rng.integers(len(sensors)))] for _ in range(views)]
+    cameras = [random_camera(rng, middle, CAMERAS, preset, f"cam{i}") for i, preset in enumerate(presets)]
+    for index, (posture, offset) in enumerate(zip(motion.postures, way, strict=True)):
+        person = _standing(dressed, posture, offset)
+        seen = []
+        for camera, preset in zip(cameras, presets, strict=True):
+            drawn = render_person(person, camera)
+            depth = sense(drawn.depth_m, drawn.material, camera, preset.model, rng)
+            seen.append(View(camera, depth, drawn.person & (depth > 0)))
+        yield FrameSet(round(index / FPS * 1e9), tuple(seen), person.joints)
+
+
+def _standing(dressed: DressedBody, posture: Float[ndarray, "20 3"], offset: Float[ndarray, "3"]) -> PosedPerson:
+    person = dressed.pose(posture)
+    return person.moved(np.eye(3), offset - np.array([0.0, 0.0, person.lowest_m]))

@@ -1,0 +1,135 @@
+"""Filters measured on generated sequences."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from depthmocap.body.model import Body
+from depthmocap.body.posture import heading
+from depthmocap.body.skeleton import JOINT_INDEX
+from depthmocap.cli import main
+from depthmocap.errors import InputError
+from depthmocap.evaluate.motion import MotionEvaluation, evaluate_motion
+from depthmocap.evaluate.moving import FPS, REACH_M, REST_S, clip_motions, moving_frames, prior_motions, way_over_floor
+from depthmocap.evaluate.temporal_metrics import temporal_metrics
+from depthmocap.evaluate.tracks import Track, TrackStore
+from depthmocap.pose.track import FILTERS
+from depthmocap.settings import plain_settings
+from depthmocap.synth.motion.sequence import demo_motion
+from depthmocap.synth.people.garments import clothe
+from depthmocap.synth.people.wardrobe import ORDINARY_CLOTHES
+from depthmocap.synth.sensing.sensors import find_sensor
+
+QUIET = Console(quiet=True)
+
+
+def test_motion_of_the_prior_comes_to_rest_without_jerks() -> None:
+    motion = next(prior_motions(1, 2.0, np.random.default_rng(0)))
+    again = next(prior_motions(1, 2.0, np.random.default_rng(0)))
+    np.testing.assert_array_equal(motion.postures, again.postures)
+    rest = round(REST_S * FPS)
+    assert np.ptp(motion.postures[-rest:], axis=0).max() < 1e-9
+    turns = np.abs(np.diff(np.unwrap(heading(motion.postures))))
+    assert 0.01 < turns.max() < 0.2
+
+
+def test_the_standing_foot_stays_where_it_is(default_body: Body) -> None:
+    dressed = clothe(default_body, ORDINARY_CLOTHES, np.random.default_rng(0))
+    known = demo_motion(dressed, np.arange(3.3, 5.0, 1 / FPS))  # steps forward, feet nailed to the floor
+    way = way_over_floor(default_body, known.postures)
+    moved = way - way[0] - (known.offsets - known.offsets[0])[:, :2]
+    # Both feet are low while the weight goes over, so that a little is lost.
+    assert np.abs(moved).max() < 0.3 * np.abs(known.offsets - known.offsets[0])[:, 1].max()
+
+
+def test_frames_show_the_moving_person(default_body: Body) -> None:
+    motion = next(prior_motions(1, 1.0, np.random.default_rng(1)))
+    short = dataclasses.replace(motion, postures=motion.postures[:3])
+    frames = list(moving_frames(short, 2, (find_sensor("kinect2"),), np.random.default_rng(2)))
+    assert [frame.timestamp_ns for frame in frames] == [0, 33333333, 66666667]
+    for frame in frames:
+        assert frame.true_joints is not None and len(frame.views) == 2
+        assert np.linalg.norm(frame.true_joints[JOINT_INDEX["Hip"], :2]) < 2 * REACH_M
+        assert all(view.mask is not None and view.mask.sum() > 1000 for view in frame.views)
+    assert frames[0].views[0].camera is frames[2].views[0].camera
+
+
+def test_clips_of_the_split_are_taken_and_too_few_are_told(tmp_path: Path, default_body: Body) -> None:
+    with pytest.raises(InputError, match=r"no \.bvh"):
+        next(clip_motions(tmp_path, "test", 1, 1.0, np.random.default_rng(0)))
+
+
+def _tracks(settings: MotionEvaluation) -> list[Track]:
+    """Estimates of a body that sways, with noise that the confidence knows nothing of."""
+    rng = np.random.default_rng(0)
+    base = rng.normal(0, 0.4, (18, 3))
+    tracks = []
+    for index in range(settings.sequences):
+        sway = 0.2 * np.sin(np.arange(90) / FPS * 3)[:, None, None] * np.where(np.arange(90) < 70, 1, 0)[:, None, None]
+        truth = base + sway + np.zeros((90, 18, 3))
+        joints = truth + rng.normal(0, 0.01, (settings.views, *truth.shape))
+        confidence = np.ones(joints.shape[:3])
+        tracks.append(
+            Track(f"sway {index}", np.round(np.arange(90) / FPS * 1e9).astype(int), truth, joints, confidence)
+        )
+    return tracks
+
+
+def _with_estimates(settings: MotionEvaluation) -> list[Track]:
+    binding = ("out", "sequences", "sides_wrong", "lag_frames", "json")
+    store = TrackStore(settings.out, {k: v for k, v in plain_settings(settings).items() if k not in binding})
+    for index, track in enumerate(tracks := _tracks(settings)):
+        store.save(index, track)
+    return tracks
+
+
+def test_every_filter_is_measured_on_kept_estimates(tmp_path: Path) -> None:
+    settings = MotionEvaluation(tmp_path / "estimates", sequences=1, views=2, json=tmp_path / "numbers.json")
+    tracks = _with_estimates(settings)
+    numbers = evaluate_motion(settings, QUIET)
+    assert json.loads((tmp_path / "numbers.json").read_text())["frames"] == 90
+    for views in (1, 2):
+        rows = numbers[f"views {views}"]
+        assert set(rows) == {"none", *FILTERS}
+        raw = temporal_metrics(
+            [track.joints[views - 1] for track in tracks], [track.truth for track in tracks], 1 / FPS
+        )
+        assert rows["none"]["mean_joint_error_cm"] == pytest.approx(raw.mean_joint_error_cm)
+        for name in FILTERS:
+            assert rows[name]["acceleration_error_mm"] < 0.8 * raw.acceleration_error_mm
+            assert rows[name]["rest_jitter_mm"] < 0.8 * raw.rest_jitter_mm
+    assert numbers["views 1"]["fixed-lag"]["waits_ms"] == pytest.approx(4e3 / FPS)
+
+
+def test_wrong_sides_are_undone(tmp_path: Path) -> None:
+    settings = MotionEvaluation(tmp_path / "estimates", sequences=1, views=1, sides_wrong=0.2)
+    _with_estimates(settings)
+    rows = evaluate_motion(settings, QUIET)["views 1"]
+    assert rows["none"]["flips_per_1000"] > 100
+    assert all(rows[name]["flips_per_1000"] < 0.1 * rows["none"]["flips_per_1000"] for name in FILTERS)
+
+
+def test_estimates_of_other_settings_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _with_estimates(MotionEvaluation(tmp_path / "estimates", sequences=1, views=1))
+    assert main(["evaluate", "motion", "--out", str(tmp_path / "estimates"), "--views", "2"]) == 2
+    assert "other settings" in capsys.readouterr().err
+    broken = MotionEvaluation(tmp_path / "estimates", sequences=1, views=1)
+    (tmp_path / "estimates" / "0000.npz").write_bytes(b"no archive")
+    with pytest.raises(InputError, match="delete it"):
+        evaluate_motion(broken, QUIET)
+
+
+def test_bad_settings() -> None:
+    changes: list[dict[str, Any]] = [
+        {"sequences": 0}, {"seconds": 0.1}, {"sides_wrong": 1.0}, {"seed": -1}, {"sensors": ()}
+    ]  # fmt: skip
+    for bad in changes:
+        with pytest.raises(InputError):
+            MotionEvaluation(Path("out"), **bad)
