@@ -25,6 +25,7 @@ import engine_rows
 import gpu_rows
 import label_rows
 import pose_rows
+import record_rows
 import tyro
 from rich.console import Console
 from rich.table import Table
@@ -102,6 +103,7 @@ def measure(settings: Settings, folder: Path, console: Console) -> Bench:
         "labelling": label_rows.labelling,
         "segmentation": pose_rows.segmentation,
         "joints": pose_rows.joints,
+        "recording": record_rows.rows,
         "whole pipeline": functools.partial(pose_rows.whole_pipeline, recording=settings.recording),
     }
     for name, group in groups.items():

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-rs = pytest.importorskip("pyrealsense2")
-
 from depthmocap.capture.realsense import RealSenseCamera, find
 from depthmocap.capture.source import CameraError, NoFrame
+
+rs = pytest.importorskip("pyrealsense2")
 
 WIDTH, HEIGHT = 64, 48
 UNIT_M = 0.00025
@@ -97,7 +97,7 @@ def test_read_latest_and_again() -> None:
 
 
 def test_usb_2_is_told() -> None:
-    with pytest.raises(CameraError, match="USB 2.1: use a USB 3 port"):
+    with pytest.raises(CameraError, match=r"USB 2\.1: use a USB 3 port"):
         RealSenseCamera("front", device=Software(usb="2.1").device).__enter__()
 
 

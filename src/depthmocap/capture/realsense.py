@@ -1,8 +1,8 @@
 """Intel RealSense depth cameras through ``pyrealsense2``.
 
 The depth sensor is opened by itself, without the SDK's pipeline: nothing is queued behind other streams, and the SDK's
-``software_device`` serves in place of a camera, which the tests use. D400 timestamps are by the camera's own clock, or by
-the host's where the SDK translates them (``global_time``).
+``software_device`` serves in place of a camera in the tests. Timestamps are by the camera's own clock, or by the
+host's where the SDK translates them (``global_time``).
 """
 
 from __future__ import annotations
