@@ -10,19 +10,21 @@ onnx = pytest.importorskip("onnx")
 
 import onnxruntime  # noqa: E402
 
+from depthmocap.classify.data import training_window  # noqa: E402
 from depthmocap.classify.export import export_onnx  # noqa: E402
 from depthmocap.classify.networks import CLASSES, FastNet  # noqa: E402
-from depthmocap.classify.quantise import calibration_windows, quantise  # noqa: E402
+from depthmocap.classify.quantise import quantise  # noqa: E402
 from depthmocap.classify.runtime import Classifier  # noqa: E402
 from depthmocap.classify.train import load_weights  # noqa: E402
+from depthmocap.synth.motion.postures import posture_source  # noqa: E402
 
 
 def test_same_labels_in_half_the_space(body_model, tmp_path):
     network = FastNet()
     load_weights(network, Classifier().path.with_name("fast.safetensors"))
     source = export_onnx(network.eval(), tmp_path / "classifier.onnx", {"network": "fast"})
-    windows = calibration_windows(3, 12, "open", None)
-    assert windows.shape[0] == 12
+    postures = posture_source(None, "train")
+    windows = np.stack([training_window(3, i, "open", postures, None)[0] for i in range(12)])
     path = quantise(source, windows[:8], tmp_path / "int8.onnx")
     assert path.stat().st_size < 0.6 * source.stat().st_size
     assert {e.key: e.value for e in onnx.load(path).metadata_props} == {"network": "fast", "precision": "int8"}

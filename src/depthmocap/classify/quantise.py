@@ -6,11 +6,8 @@ import logging
 import tempfile
 from pathlib import Path
 
-import numpy as np
 from jaxtyping import Float32
 from numpy import ndarray
-
-from depthmocap.synth.sample import Subset
 
 _BATCH = 8
 
@@ -58,12 +55,3 @@ def quantise(source: Path, windows: Float32[ndarray, "n 3 s s"], path: Path) -> 
     onnx.save(model, partial)
     partial.replace(path)
     return path
-
-
-def calibration_windows(seed: int, count: int, people: Subset, postures: Path | None) -> Float32[ndarray, "n 3 s s"]:
-    """Training windows of a seed, spoilt as in training, to find the ranges on."""
-    from depthmocap.classify.data import Spoiling, training_window
-    from depthmocap.synth.motion.postures import TRAINING_VARIATION, posture_source
-
-    source = posture_source(postures, "train", people == "easy", TRAINING_VARIATION)
-    return np.stack([training_window(seed, i, people, source, Spoiling())[0] for i in range(count)])
