@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -39,6 +40,16 @@ def test_sets_differ_and_are_made_alike_again(body_model: BodyModel) -> None:
     errors = [first[name]["mean_joint_error_cm"] for name in BENCH]
     assert errors == [again[name]["mean_joint_error_cm"] for name in BENCH]
     assert len(set(errors)) == len(BENCH)
+
+
+def test_misplaced_cameras_cost_accuracy(body_model: BodyModel) -> None:
+    settings = BenchEvaluation(samples=4, sets=("seen",), labels="true", workers=0)
+    exact = evaluate_bench(settings, QUIET)["seen"]
+    for off in ({"misplaced_mm": 150.0}, {"misplaced_deg": 5.0}):
+        spoilt = evaluate_bench(dataclasses.replace(settings, **off), QUIET)["seen"]
+        assert spoilt["mean_joint_error_cm"] > exact["mean_joint_error_cm"] + 2
+    with pytest.raises(InputError, match="misplaced"):
+        evaluate_bench(dataclasses.replace(settings, misplaced_mm=-1.0), QUIET)
 
 
 def test_unknown_sets() -> None:

@@ -8,14 +8,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.progress import Progress
+from scipy.spatial.transform import Rotation
 
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import Outputs, about, write_outputs
 from depthmocap.evaluate.synthetic import Labels, measure, print_numbers
 from depthmocap.frames import FrameSet
+from depthmocap.geometry import DepthCamera
 from depthmocap.pose.estimate import load_estimator
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.motion.postures import ClipPostures, posture_source
@@ -37,6 +40,8 @@ class BenchEvaluation(Outputs):
         labels: "network" runs the classifier; "true" gives the pose stage the true labels, its floor.
         weights: a classifier.onnx of your own.
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
+        misplaced_mm: so far from where it says each camera stands, in any direction.
+        misplaced_deg: and so much it is turned, about any axis.
         workers: processes that make the pictures.
     """
 
@@ -48,12 +53,25 @@ class BenchEvaluation(Outputs):
     seed: int = 1
     weights: Path | None = None
     estimator: str = "votes"
+    misplaced_mm: float = 0.0
+    misplaced_deg: float = 0.0
     workers: int = usable_cores()
 
 
 def _frames(recipe: Recipe, settings: BenchEvaluation) -> Iterator[FrameSet]:
     for index, sample in stream(recipe, settings.seed, 0, settings.samples, settings.workers):
-        yield FrameSet(index, sample.views, sample.joints)
+        rng = np.random.default_rng([settings.seed, index, 17])
+        views = tuple(dataclasses.replace(view, camera=_misplaced(view.camera, settings, rng)) for view in sample.views)
+        yield FrameSet(index, views, sample.joints)
+
+
+def _misplaced(camera: DepthCamera, settings: BenchEvaluation, rng: np.random.Generator) -> DepthCamera:
+    """A camera that is not quite where it says."""
+    shift, axis = (direction / np.linalg.norm(direction) for direction in rng.normal(size=(2, 3)))
+    pose = camera.world_from_camera.copy()
+    pose[:3, :3] = Rotation.from_rotvec(axis * np.radians(settings.misplaced_deg)).as_matrix() @ pose[:3, :3]
+    pose[:3, 3] += shift * settings.misplaced_mm / 1000
+    return dataclasses.replace(camera, world_from_camera=pose)
 
 
 def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) -> dict[str, Any]:
@@ -64,6 +82,8 @@ def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) ->
     """
     check_seed(settings.seed)
     console = console or Console(stderr=True)
+    if not (0 <= settings.misplaced_mm < np.inf and 0 <= settings.misplaced_deg <= 180):
+        raise InputError("--misplaced-mm must be at least 0 and --misplaced-deg from 0 to 180")
     unknown = [name for name in settings.sets if name not in BENCH]
     if unknown or not settings.sets or settings.samples < 1:
         raise InputError(f"--sets takes {', '.join(map(repr, BENCH))} and --samples at least 1; got {settings.sets}")
