@@ -79,9 +79,9 @@ def _test_set(part: Ubc3vPart, console: Console) -> tuple[list[ReportSection], d
             raise InputError(f"{part.root}: no sample of hard-pose/test has labels and joints")
         poses[words] = found
     rows = [
-        ["pixels labelled right (%), Net 3", PAPER_TEST_PIXELS, labels.accuracy.pixel_accuracy * 100],
+        ["pixels labelled right (%); the paper: Net 3", PAPER_TEST_PIXELS, labels.accuracy.pixel_accuracy * 100],
         *pose_rows("true labels", PAPER_TRUE, poses["true labels"]),
-        *pose_rows("Net 3", PAPER_NETWORK, poses["the network's labels"]),
+        *pose_rows("the network's labels; the paper: Net 3", PAPER_NETWORK, poses["the network's labels"]),
     ]
     grid = ReportFigure(label_grid(examples), "Depth, true regions, and the network's.")
     table = ReportTable(("", "the paper", "ours"), rows)
@@ -92,7 +92,7 @@ def _test_set(part: Ubc3vPart, console: Console) -> tuple[list[ReportSection], d
     return sections, {"test_pixel_accuracy": labels.accuracy.pixel_accuracy, "joints": poses}
 
 
-def pose_rows(words: str, paper: tuple[float, float], ours: Mapping[str, Any]) -> list[list[Cell]]:
+def pose_rows(words: str, paper: tuple[float | None, float | None], ours: Mapping[str, Any]) -> list[list[Cell]]:
     """Mean error and share within 10 cm, the paper's and ours."""
     return [
         [f"mean joint error (cm), {words}", paper[0], ours["mean_joint_error_cm"]],
@@ -106,7 +106,7 @@ def _label_shares(part: Ubc3vPart, console: Console) -> tuple[dict[tuple[int, st
     missing = []
     for net, path in part.nets.items():
         if path is None:
-            missing.append(f"Net {net} was not given (--net{net}): its rows are empty.")
+            missing.append(f"Net {net} was not given (--net{net}): our row of it is left out.")
             continue
         classifier = Classifier(path)
         # Where the next network starts is where this one ends.
@@ -150,6 +150,8 @@ def _label_table(shares: dict[tuple[int, str], float]) -> ReportTable:
     rows = []
     for net, paper in PAPER_LABELS.items():
         rows.append([f"Net {net}, the paper", *(x for s in SUBSETS for x in paper.get(s, (None, None)))])
+        if not any((net, subset) in shares for subset in SUBSETS):
+            continue
         ours: list[str | float | None] = [f"Net {net}, ours"]
         for subset in SUBSETS:
             pair = (shares.get((net - 1, subset)), shares.get((net, subset))) if subset in paper else (None, None)
