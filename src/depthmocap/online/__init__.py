@@ -1,0 +1,1 @@
+"""Motion capture of cameras as they deliver: the counterpart of ``offline``."""

@@ -1,0 +1,178 @@
+"""``depthmocap live``: cameras, or a recording in their place, to a folder of skeletons, with a dashboard."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import time
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.console import Console
+from rich.live import Live
+
+from depthmocap.capture.cameras import make_sources
+from depthmocap.capture.mcap_recording import open_recording
+from depthmocap.capture.mcap_writer import SHARED_CLOCK, McapWriter
+from depthmocap.capture.recorded import Pace
+from depthmocap.capture.source import DepthFrame
+from depthmocap.capture.sync import SyncSettings
+from depthmocap.errors import InputError
+from depthmocap.frames import Pose
+from depthmocap.geometry import Rig, load_rig
+from depthmocap.online.dashboard import draw_dashboard
+from depthmocap.online.live import LiveCapture, Replay, Segment
+from depthmocap.online.output import PoseFiles
+from depthmocap.pose.track import Smoothing
+
+#: The dashboard is drawn so often.
+DRAW_S = 0.25
+
+
+@dataclasses.dataclass(frozen=True)
+class LiveSettings:
+    """Motion capture of cameras until Ctrl-C, or until the recordings end.
+
+    Attributes:
+        sources: cameras such as realsense:SERIAL or left=orbbec, recordings, or synthetic.
+        rig: a rig.json that tells where the cameras stand; recordings know.
+        out: folder for pose.csv, pose.trc, pose.bvh and summary.json.
+        record: a new MCAP file for every frame as it came.
+        realtime: play a recording at its own speed, as if it were cameras; otherwise as fast as the machine can, and
+            no set is left out.
+        seconds: stop after so long.
+        segment: "auto" finds the person in a static scene; "none" takes every valid pixel.
+        smooth: the filter over time, see ``depthmocap run``.
+        wait_ms: how long a set waits for a camera that is late.
+        rate_hz: sets a second; by default the fastest camera's rate.
+        triggered: the cameras expose together, by a wire.
+    """
+
+    sources: tyro.conf.Positional[tuple[str, ...]]
+    rig: Path | None = None
+    out: Path | None = None
+    record: Path | None = None
+    realtime: bool = False
+    seconds: float | None = None
+    segment: Segment = "auto"
+    smooth: Smoothing = "auto"
+    wait_ms: float = SyncSettings().wait_ms
+    rate_hz: float | None = None
+    triggered: bool = False
+
+
+class _Mcap:
+    """Frames into an MCAP file, with the host's time of day."""
+
+    def __init__(self, writer: McapWriter) -> None:
+        self._writer, self._day_ns = writer, time.time_ns() - time.monotonic_ns()
+
+    def write(self, frame: DepthFrame) -> None:
+        """Add a frame, from any thread; cameras that came later than the file are not in it."""
+        if frame.camera not in self._writer.rig.names:
+            return
+        arrival_ns = frame.timestamp_ns if frame.clock == SHARED_CLOCK else frame.arrival_ns + self._day_ns
+        self._writer.write(frame.camera, frame.timestamp_ns, frame.raw, arrival_ns, frame.clock)
+
+
+def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str, Any]:
+    """Run until the end, ``seconds`` or Ctrl-C, write everything, and return the summary.
+
+    Raises:
+        InputError: when a source is not what it says, no camera can be opened, or no set came at all.
+    """
+    console = console or Console(stderr=True)
+    if not settings.sources:
+        raise InputError("name at least one camera or recording: depthmocap cameras lists cameras")
+    if settings.seconds is not None and not settings.seconds > 0:
+        raise InputError(f"--seconds must be positive, got {settings.seconds}")
+    with contextlib.ExitStack() as stack:
+        capture = stack.enter_context(_capture(settings, console))
+        if settings.record is not None:
+            if isinstance(capture, Replay):
+                raise InputError("--record needs --realtime: played as fast as it goes, a recording is only read")
+            rig = Rig(tuple(capture.gatherer.cameras.values()), capture.up)
+            backgrounds = capture.raw_backgrounds()
+            capture.gatherer.recorder = _Mcap(stack.enter_context(McapWriter(settings.record, rig, backgrounds)))
+        files = stack.enter_context(PoseFiles(settings.out, capture.up)) if settings.out else None
+        summary = _follow(capture, files, settings.seconds, console)
+    if not capture.books.poses:
+        raise InputError(f"no set of frames came: {' '.join(capture.problems) or 'are the cameras running?'}")
+    _tell(summary, settings, console)
+    return summary
+
+
+def _capture(settings: LiveSettings, console: Console) -> LiveCapture | Replay:
+    rig = load_rig(settings.rig) if settings.rig else None
+    sync = SyncSettings(settings.rate_hz or 30.0, settings.wait_ms, triggered=settings.triggered)
+    if not settings.realtime and len(settings.sources) == 1 and Path(settings.sources[0]).exists():
+        if rig is not None:
+            raise InputError("--rig needs --realtime: played as fast as it goes, a recording has its own rig")
+        with console.status("reading the background and the weights"):
+            recording = open_recording(Path(settings.sources[0]))
+            sync = dataclasses.replace(sync, rate_hz=settings.rate_hz or 1e9 / recording.period_ns)
+            return Replay(recording, None, sync, settings.segment, settings.smooth)
+    sources = make_sources(settings.sources, Pace(1.0))
+    return LiveCapture(sources, rig, None, sync, settings.rate_hz is None, settings.segment, settings.smooth)
+
+
+def _follow(
+    capture: LiveCapture | Replay, files: PoseFiles | None, seconds: float | None, console: Console
+) -> dict[str, Any]:
+    """Take poses until the end; returns the summary, which is in ``files`` as well."""
+    begun = drawn = time.monotonic()
+    interrupted, taken = False, 0
+
+    def write(pose: Pose) -> None:
+        if files is not None:
+            files.write(pose)
+
+    with Live(console=console, auto_refresh=False, transient=True) as screen:
+        try:
+            for live_pose in capture:
+                taken += 1
+                assert capture.pipeline is not None
+                # What a filter that waits gives at first is not final.
+                if taken > (capture.pipeline.smoothing.delay_frames if capture.pipeline.smoothing else 0):
+                    write(live_pose.pose)
+                now = time.monotonic()
+                if now - drawn >= DRAW_S:
+                    drawn = now
+                    picture = draw_dashboard(
+                        capture.statuses(), capture.books, capture.dropped, now - begun, list(capture.problems)
+                    )
+                    screen.update(picture, refresh=True)
+                if seconds is not None and now - begun >= seconds:
+                    break
+        except KeyboardInterrupt:
+            interrupted = True
+        statuses = capture.statuses()
+    for pose in capture.pipeline.finish() if capture.pipeline else []:
+        write(pose)
+    summary = {
+        "seconds": time.monotonic() - begun,
+        "interrupted": interrupted,
+        "sets_dropped": capture.dropped,
+        **capture.books.summary(),
+        "smoothing": capture.pipeline.smoothing.describe() if capture.pipeline and capture.pipeline.smoothing else None,
+        "cameras": {status.name: dataclasses.asdict(status) for status in statuses},
+        "problems": list(capture.problems),
+    }
+    if files is not None:
+        files.summary |= summary
+    return summary
+
+
+def _tell(summary: dict[str, Any], settings: LiveSettings, console: Console) -> None:
+    rate = summary["poses"] / max(summary["seconds"], 1e-9)
+    latency, dropped = summary["latency_ms"], summary["sets_dropped"]
+    console.print(
+        f"{summary['poses']} poses in {summary['seconds']:.1f} s ({rate:.1f} a second), {dropped} sets dropped; "
+        f"latency {latency['p50']:.0f} ms (p95 {latency['p95']:.0f} ms)"
+    )
+    for problem in summary["problems"]:
+        console.print(f"• {problem}", markup=False, highlight=False)
+    for path in (settings.out, settings.record):
+        if path is not None:
+            console.print(f"written to {path}", markup=False, highlight=False)

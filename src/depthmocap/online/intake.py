@@ -1,0 +1,90 @@
+"""What frames go through on the way into sets: a look at their health, the synchroniser, and the books about both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from depthmocap.capture.health import FAULTS, Fault, HealthCheck
+from depthmocap.capture.recording import Recording
+from depthmocap.capture.source import DepthFrame
+from depthmocap.capture.sync import SyncedSet, Synchroniser, SyncSettings
+from depthmocap.errors import InputError
+from depthmocap.frames import FrameSet, View
+from depthmocap.geometry import DepthCamera
+
+
+class Intake:
+    """Frames in, sets out. Single-threaded; time is what the caller says it is.
+
+    Attributes:
+        cameras: by name, as the rig places them.
+        faults: frames that were left out, by camera and fault.
+        problems: what a user should know, one line each.
+    """
+
+    def __init__(self, settings: SyncSettings) -> None:
+        self.sync = Synchroniser(settings)
+        self.cameras: dict[str, DepthCamera] = {}
+        self.faults: dict[str, dict[Fault, int]] = {}
+        self.problems: dict[str, None] = {}
+        self._checks: dict[str, HealthCheck] = {}
+
+    def add_camera(self, camera: DepthCamera) -> None:
+        """Expect frames of a camera; one that was there before continues."""
+        if camera.name not in self.cameras:
+            self.sync.add_camera(camera.name)
+            self.faults[camera.name] = {}
+        self.cameras[camera.name] = camera
+        self._checks[camera.name] = HealthCheck(camera)
+
+    def remove_camera(self, name: str) -> None:
+        """Expect no more frames of a camera."""
+        self.cameras.pop(name, None)
+        self.sync.remove_camera(name)
+
+    def add(self, frame: DepthFrame) -> None:
+        """Take a frame; one that cannot be right is left out, counted, and told of once."""
+        if frame.camera not in self.cameras:
+            return
+        fault = self._checks[frame.camera](frame.raw)
+        if not fault:
+            self.sync.add(frame)
+            return
+        counts = self.faults[frame.camera]
+        counts[fault] = counts.get(fault, 0) + 1
+        self.problems[f"camera {frame.camera!r}: {FAULTS[fault]}"] = None
+
+    def run(self, frames: Iterable[DepthFrame]) -> Iterator[SyncedSet]:
+        """All sets of frames that come in order of arrival, in their own time, however long anyone takes."""
+        for frame in frames:
+            while (due_ns := self.sync.next_deadline_ns()) is not None and due_ns < frame.arrival_ns:
+                yield from self.sync.poll(due_ns)
+            self.add(frame)
+            yield from self.sync.poll(frame.arrival_ns)
+        yield from self.sync.flush()
+
+
+def frame_set(synced: SyncedSet, cameras: dict[str, DepthCamera]) -> FrameSet:
+    """A set in metres, with the cameras that took it."""
+    views = tuple(
+        View(cameras[name], cameras[name].to_metres(frame.raw))
+        for name, frame in synced.frames.items()
+        if name in cameras
+    )
+    return FrameSet(synced.timestamp_ns, views)
+
+
+def recorded_frames(recording: Recording, problems: dict[str, None]) -> Iterator[DepthFrame]:
+    """The frames of a recording in order of time, as if each had arrived at the time it was recorded for.
+
+    Frames that cannot be read are left out, and told of in ``problems``.
+    """
+    order = sorted((stamp, name) for name in recording.rig.names for stamp in recording.stamps(name))
+    for stamp, camera in order:
+        try:
+            raw = recording.raw(camera, stamp)
+        except InputError as error:
+            problems[str(error)] = None
+            continue
+        timestamp_ns, clock = recording.device_time(camera, stamp)
+        yield DepthFrame(camera, raw, timestamp_ns, clock, stamp)

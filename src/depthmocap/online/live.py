@@ -1,0 +1,250 @@
+"""Motion capture of cameras as they deliver: sources in, poses out, with the least delay that the machine allows."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Literal
+
+from jaxtyping import Float, UInt16
+from numpy import ndarray
+
+from depthmocap.capture.cameras import make_sources
+from depthmocap.capture.recorded import Pace
+from depthmocap.capture.recording import Recording
+from depthmocap.capture.source import DepthSource
+from depthmocap.capture.sync import SyncedSet, SyncSettings
+from depthmocap.frames import FrameSet, Pose
+from depthmocap.geometry import Rig, load_rig
+from depthmocap.offline import load_pipeline
+from depthmocap.online.gather import Gatherer
+from depthmocap.online.intake import Intake, frame_set, recorded_frames
+from depthmocap.online.status import Books, CameraStatus, camera_statuses
+from depthmocap.pipeline import Pipeline, Result
+from depthmocap.pose.track import Smoothing
+
+Segment = Literal["auto", "none"]
+#: How long the scene is looked at where no empty one is known.
+LEARN_S = 3.0
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LivePose:
+    """A pose, the frames it was found in, and the milliseconds from the last one's arrival until it was known."""
+
+    pose: Pose
+    synced: SyncedSet
+    result: Result
+    latency_ms: float
+
+
+class SceneViews:
+    """Sets to learn the empty scene from, in the form of a recording."""
+
+    def __init__(self, rig: Rig, sets: Sequence[FrameSet], backgrounds: dict[str, Float[ndarray, "_ _"]]) -> None:
+        self.rig, self.up = rig, rig.up
+        self._sets, self._backgrounds = sets, backgrounds
+
+    def background(self, name: str) -> Float[ndarray, "h w"] | None:
+        """Depth of the empty scene in metres, where the camera brings it."""
+        return self._backgrounds.get(name)
+
+    def __len__(self) -> int:
+        return len(self._sets)
+
+    def __iter__(self) -> Iterator[FrameSet]:
+        return iter(self._sets)
+
+    def __getitem__(self, index: int) -> FrameSet:
+        return self._sets[index]
+
+
+class LiveCapture:
+    """A running motion capture; a context manager, and an iterator of :class:`LivePose`.
+
+    When the machine is too slow it leaves out sets and never lags behind.
+    """
+
+    def __init__(
+        self,
+        sources: Sequence[DepthSource],
+        rig: Rig | None = None,
+        pipeline: Pipeline | None = None,
+        sync: SyncSettings | None = None,
+        measure_rate: bool = True,
+        segment: Segment = "auto",
+        smooth: Smoothing = "auto",
+    ) -> None:
+        """
+        Args:
+            rig: where the cameras stand; by default what the sources know.
+            pipeline: what makes poses of sets; by default the packaged one, its background from the sources, or learnt
+                from the first ``LEARN_S`` seconds if a source knows none.
+            sync, measure_rate: see :class:`Gatherer`.
+            segment, smooth: of the default pipeline, see RunSettings.
+        """
+        self._sources, self._pipeline = list(sources), pipeline
+        self._segment: Segment = segment
+        self._smooth: Smoothing = smooth
+        self.gatherer = Gatherer(sources, rig, sync, measure_rate)
+        self.books = Books()
+        self.up = rig.up if rig else (sources[0].up if sources else "z")
+
+    @property
+    def pipeline(self) -> Pipeline | None:
+        """What makes poses of sets; None until the scene was learnt."""
+        return self._pipeline
+
+    def __enter__(self) -> LiveCapture:
+        """Open the cameras.
+
+        Raises:
+            InputError: when none can be opened.
+        """
+        self.gatherer.__enter__()
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        self.gatherer.stop()
+
+    def stop(self) -> None:
+        """End the iteration, from any thread."""
+        self.gatherer.stop()
+
+    @property
+    def problems(self) -> dict[str, None]:
+        """What a user should know, one line each."""
+        return self.gatherer.intake.problems
+
+    @property
+    def dropped(self) -> int:
+        """Sets that were left out because the machine was too slow."""
+        return self.gatherer.dropped
+
+    def raw_backgrounds(self) -> dict[str, UInt16[ndarray, "_ _"]]:
+        """Raw depth of the empty scene, of the cameras that know it."""
+        found = {source.name: source.raw_background for source in self._sources if source.name in self.gatherer.cameras}
+        return {name: raw for name, raw in found.items() if raw is not None}
+
+    def statuses(self) -> list[CameraStatus]:
+        """Every camera now."""
+        return camera_statuses(self.gatherer.intake, self.gatherer.states(), time.monotonic_ns())
+
+    def __iter__(self) -> Iterator[LivePose]:
+        sets = self.gatherer.sets()
+        if self._pipeline is None:
+            self._pipeline = self._learn(sets)
+            self.gatherer.dropped = 0
+        for synced in sets:
+            result = self._pipeline(frame_set(synced, self.gatherer.cameras))
+            last_ns = max(frame.arrival_ns for frame in synced.frames.values())
+            latency_ms = (time.monotonic_ns() - last_ns) * 1e-6
+            yield _booked(self.books, LivePose(result.pose, synced, result, latency_ms))
+
+    def _learn(self, sets: Iterator[SyncedSet]) -> Pipeline:
+        """The default pipeline, warm; takes sets for as long as it must."""
+        cameras = self.gatherer.cameras
+        backgrounds = {name: cameras[name].to_metres(raw) for name, raw in self.raw_backgrounds().items()}
+        views: list[FrameSet] = []
+        end = time.monotonic() + (LEARN_S if self._segment == "auto" else 0)
+        for synced in sets:
+            views.append(frame_set(synced, cameras))
+            known = all(view.camera.name in backgrounds for view in views[-1].views)
+            if known or time.monotonic() >= end:
+                break
+        rig = Rig(tuple(cameras.values()), self.up)
+        pipeline = load_pipeline(SceneViews(rig, views, backgrounds), self._segment, self._smooth)
+        for problem in getattr(pipeline.segment, "problems", []):
+            self.gatherer.note(problem)
+        return warm(pipeline, views[-1]) if views else pipeline
+
+
+def warm(pipeline: Pipeline, frames: FrameSet) -> Pipeline:
+    """The pipeline after a set that counts for nothing: the first one ever compiles the inner loops."""
+    pipeline(frames)
+    pipeline.reset()
+    return pipeline
+
+
+class Replay:
+    """A recording through the same stages in its own time, as fast as the machine can; no set is left out.
+
+    It is used like a :class:`LiveCapture`. The latency is that of the pipeline.
+    """
+
+    dropped = 0
+
+    def __init__(
+        self,
+        recording: Recording,
+        pipeline: Pipeline | None = None,
+        sync: SyncSettings | None = None,
+        segment: Segment = "auto",
+        smooth: Smoothing = "auto",
+    ) -> None:
+        """``pipeline``: by default the packaged one, its background from the recording."""
+        self.pipeline = pipeline or load_pipeline(recording, segment, smooth)
+        self.intake = Intake(sync or SyncSettings(rate_hz=1e9 / recording.period_ns))
+        self.books, self.up = Books(), recording.up
+        self._recording, self._now_ns = recording, 0
+        for camera in recording.rig.cameras:
+            if recording.stamps(camera.name):
+                self.intake.add_camera(camera)
+        self.intake.problems |= dict.fromkeys([*recording.problems, *getattr(self.pipeline.segment, "problems", [])])
+
+    def __enter__(self) -> Replay:
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        """Nothing is held open."""
+
+    @property
+    def problems(self) -> dict[str, None]:
+        """What a user should know, one line each."""
+        return self.intake.problems
+
+    def statuses(self) -> list[CameraStatus]:
+        """Every camera now."""
+        return camera_statuses(self.intake, dict.fromkeys(self.intake.cameras, "running"), self._now_ns)
+
+    def __iter__(self) -> Iterator[LivePose]:
+        for synced in self.intake.run(recorded_frames(self._recording, self.intake.problems)):
+            self._now_ns = synced.timestamp_ns
+            begun = time.perf_counter()
+            result = self.pipeline(frame_set(synced, self.intake.cameras))
+            latency_ms = (time.perf_counter() - begun) * 1e3
+            yield _booked(self.books, LivePose(result.pose, synced, result, latency_ms))
+
+
+def _booked(books: Books, live: LivePose) -> LivePose:
+    seen = bool(live.pose.confidence.max() > 0)
+    books.add(live.result.milliseconds, live.latency_ms, live.synced.skew_ns * 1e-6, seen)
+    return live
+
+
+def live(
+    *sources: str | Path | DepthSource,
+    rig: Rig | Path | None = None,
+    segment: Segment = "auto",
+    smooth: Smoothing = "auto",
+) -> Iterator[Pose]:
+    """Poses of cameras as they deliver; recordings play at their own speed.
+
+    Args:
+        sources: cameras as ``depthmocap record`` names them, recordings, or opened by yourself.
+        rig: where the cameras stand, or its rig.json; recordings know.
+        segment, smooth: see RunSettings.
+
+    Raises:
+        InputError: when a source is not what it says, or no camera can be opened.
+    """
+    pace = Pace(1.0)
+    opened: list[DepthSource] = []
+    for source in sources:
+        opened += [source] if isinstance(source, DepthSource) else make_sources([str(source)], pace)
+    rig = load_rig(rig) if isinstance(rig, Path) else rig
+    with LiveCapture(opened, rig, segment=segment, smooth=smooth) as capture:
+        for each in capture:
+            yield each.pose

@@ -1,0 +1,81 @@
+"""Files of a run whose length nobody knows: poses go to disk as they come, and the rest is made of them at the end."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from depthmocap.errors import InputError
+from depthmocap.export import CsvWriter, read_csv, write_bvh, write_trc
+from depthmocap.frames import Pose
+
+
+class PoseFiles:
+    """pose.csv while running; pose.trc, pose.bvh and summary.json at the end, however it comes. A context manager.
+
+    Attributes:
+        summary: what summary.json gets; add to it before the end.
+    """
+
+    def __init__(self, folder: Path, up: str) -> None:
+        """
+        Raises:
+            InputError: when the folder cannot be written.
+        """
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"cannot write to {folder}: {error.strerror}") from None
+        self._folder, self._up = folder, up
+        self._csv = CsvWriter(folder / "pose.csv")
+        self._last_ns: int | None = None
+        self.summary: dict[str, Any] = {}
+
+    def __enter__(self) -> PoseFiles:
+        self._csv.__enter__()
+        return self
+
+    def write(self, pose: Pose) -> None:
+        """Append a pose; one that is not later than the last is not written."""
+        if self._last_ns is None or pose.timestamp_ns > self._last_ns:
+            self._csv.write(pose)
+            self._last_ns = pose.timestamp_ns
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._csv.__exit__(kind, error, trace)
+        self.summary["interrupted"] = self.summary.get("interrupted", False) or kind is not None
+        if self._last_ns is not None:
+            self._animate()
+        text = json.dumps(_plain(self.summary), indent=1)
+        (self._folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+
+    def _animate(self) -> None:
+        # Read back instead of kept: hours of poses do not belong into memory.
+        times_s, joints, confidence = read_csv(self._folder / "pose.csv")
+        if not np.isfinite(joints).any():
+            self.summary["problems"] = [*self.summary.get("problems", []), "no person was found in any set"]
+            return
+        poses = [
+            Pose(round(time_s * 1e9), own, sure) for time_s, own, sure in zip(times_s, joints, confidence, strict=True)
+        ]
+        try:
+            write_trc(self._folder / "pose.trc", poses, self._up)
+            self.summary["bvh_held_frames"] = write_bvh(self._folder / "pose.bvh", poses, self._up)
+        except InputError as error:  # pose.csv is whole in any case
+            self.summary["problems"] = [*self.summary.get("problems", []), str(error)]
+
+
+def _plain(value: Any) -> Any:
+    """The value with NaN as null, which JSON has no number for."""
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

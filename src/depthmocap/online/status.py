@@ -1,0 +1,76 @@
+"""What a running motion capture tells of itself: for the dashboard, the summary and whoever asks."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+from depthmocap.online.intake import Intake
+from depthmocap.online.meters import Meter
+from depthmocap.pipeline import STAGES
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraStatus:
+    """One camera now. ``counts`` are of its frames since the start, by what became of them."""
+
+    name: str
+    state: str
+    rate_hz: float
+    drift_ppm: float
+    clock_restarts: int
+    counts: dict[str, int]
+
+    @property
+    def lost(self) -> int:
+        """Places in sets that it should have filled and did not."""
+        return self.counts["missing"]
+
+
+class Books:
+    """Numbers of the whole run and of its last seconds."""
+
+    def __init__(self) -> None:
+        self.poses = self.seen = 0
+        self.latency, self.skew = Meter(), Meter()
+        self.stages = {stage: Meter() for stage in STAGES}
+
+    def add(self, milliseconds: dict[str, float], latency_ms: float, skew_ms: float, seen: bool) -> None:
+        """Take one pose; ``seen``: somebody was in view."""
+        self.poses += 1
+        self.seen += seen
+        self.latency.add(latency_ms)
+        self.skew.add(skew_ms)
+        for stage, value in milliseconds.items():
+            self.stages[stage].add(value)
+
+    def summary(self) -> dict[str, Any]:
+        """Numbers of the whole run."""
+        return {
+            "poses": self.poses,
+            "poses_with_somebody": self.seen,
+            "latency_ms": self.latency.overall(),
+            "skew_ms": self.skew.overall(),
+            "ms_per_stage": {stage: meter.overall() for stage, meter in self.stages.items()},
+        }
+
+
+def camera_statuses(intake: Intake, states: dict[str, str], now_ns: int) -> list[CameraStatus]:
+    """All cameras: those that were opened, and those that never were."""
+    found = []
+    for name, state in states.items():
+        if name not in intake.sync.names:
+            found.append(CameraStatus(name, state, 0.0, math.nan, 0, {"missing": 0, "late": 0, "frames": 0}))
+            continue
+        clock, counts = intake.sync.clock(name), dataclasses.asdict(intake.sync.counts(name))
+        rate_hz = intake.sync.rate_hz(name, now_ns)
+        if state == "running" and rate_hz == 0 and counts["frames"]:
+            state = "no frames"
+        counts |= dict(intake.faults[name])
+        found.append(
+            CameraStatus(
+                name, state, rate_hz, clock.drift_ppm if clock else math.nan, clock.restarts if clock else 0, counts
+            )
+        )
+    return found

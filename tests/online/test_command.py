@@ -1,0 +1,115 @@
+"""``depthmocap live`` on a small recording, with a pipeline that costs nothing: its files, and what it says."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fakes import Board, fake_pipeline
+
+from depthmocap.capture.mcap_recording import open_recording
+from depthmocap.capture.recording import RecordingWriter
+from depthmocap.errors import InputError
+from depthmocap.export import read_bvh, read_csv, read_trc
+from depthmocap.online import live as live_module
+from depthmocap.online.command import LiveSettings, run_live
+from depthmocap.pose.track import load_filter
+
+SETS = 30
+
+
+@pytest.fixture
+def recording(tmp_path, monkeypatch):
+    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments: fake_pipeline())
+    scene, path = Board(2), tmp_path / "recording"
+    with RecordingWriter(path, scene.rig) as writer:
+        for i in range(SETS):
+            frames = {name: scene.depth(name, i * 0.04) for name in scene.rig.names}
+            writer.write(1_700_000_000_000_000_000 + i * 40_000_000, frames)
+    return str(path)
+
+
+def test_as_fast_as_it_goes_every_set_becomes_a_pose(recording, tmp_path):
+    summary = run_live(LiveSettings((recording,), out=tmp_path / "out"))
+    times_s, joints, _ = read_csv(tmp_path / "out" / "pose.csv")
+    np.testing.assert_allclose(times_s, np.arange(SETS) * 0.04, atol=1e-6)
+    assert np.isfinite(joints).all()
+    assert len(read_trc(tmp_path / "out" / "pose.trc")[0]) == len(read_bvh(tmp_path / "out" / "pose.bvh")[0]) == SETS
+    written = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert written["poses"] == summary["poses"] == SETS
+    assert written["sets_dropped"] == 0
+    assert written["cameras"]["cam1"]["counts"]["used"] == SETS
+    assert not written["interrupted"]
+
+
+def test_a_filter_that_waits_gives_every_pose_once(recording, tmp_path, monkeypatch):
+    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments: fake_pipeline(load_filter("fixed-lag")))
+    run_live(LiveSettings((recording,), out=tmp_path / "out"))
+    np.testing.assert_allclose(read_csv(tmp_path / "out" / "pose.csv")[0], np.arange(SETS) * 0.04, atol=1e-6)
+
+
+def test_an_interruption_leaves_complete_files(recording, tmp_path, monkeypatch):
+    pipeline = fake_pipeline()
+
+    class Interrupted:
+        smoothing, segment = None, None
+
+        def __init__(self):
+            self.calls = 0
+
+        def __call__(self, frames):
+            self.calls += 1
+            if self.calls > 10:
+                raise KeyboardInterrupt
+            return pipeline(frames)
+
+        def finish(self):
+            return []
+
+    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments: Interrupted())
+    summary = run_live(LiveSettings((recording,), out=tmp_path / "out"))
+    assert summary["interrupted"]
+    for read, name in ((read_csv, "pose.csv"), (read_trc, "pose.trc"), (read_bvh, "pose.bvh")):
+        assert len(read(tmp_path / "out" / name)[0]) == 10
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["interrupted"]
+
+
+def test_in_real_time_everything_is_recorded(recording, tmp_path):
+    pytest.importorskip("foxglove")
+    copy = tmp_path / "copy.mcap"
+    summary = run_live(LiveSettings((recording,), out=tmp_path / "out", record=copy, realtime=True, segment="none"))
+    assert summary["poses"] + summary["sets_dropped"] > SETS / 2
+    made, original = open_recording(copy), open_recording(Path(recording))
+    for name in ("cam0", "cam1"):
+        assert made.stamps(name) == original.stamps(name)
+        np.testing.assert_array_equal(made.raw(name, made.stamps(name)[5]), original.raw(name, made.stamps(name)[5]))
+
+
+def test_nobody_in_view_is_told(recording, tmp_path, monkeypatch):
+    pipeline = fake_pipeline()
+    pipeline.segment = lambda view: np.zeros(view.depth_m.shape, bool)
+    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments: pipeline)
+    run_live(LiveSettings((recording,), out=tmp_path / "out"))
+    assert "no person" in (tmp_path / "out" / "summary.json").read_text()
+    assert len((tmp_path / "out" / "pose.csv").read_text().splitlines()) == SETS + 1
+
+
+def test_the_python_interface(recording):
+    poses = list(live_module.live(recording, segment="none"))
+    assert 5 < len(poses) <= SETS
+    assert poses[-1].joints.shape == (18, 3)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"sources": ()}, "at least one"),
+        ({"sources": ("nowhere",)}, "nowhere"),
+        ({"seconds": 0.0}, "--seconds"),
+        ({"record": Path("x.mcap")}, "--realtime"),
+        ({"rate_hz": -1.0}, "rate_hz"),
+    ],
+)
+def test_bad_settings_are_one_clear_line(recording, change, message):
+    with pytest.raises(InputError, match=message):
+        run_live(LiveSettings(**{"sources": (recording,), **change}))
