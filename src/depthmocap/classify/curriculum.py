@@ -209,7 +209,7 @@ def _rows(measured: dict[str, Any]) -> list[list[str]]:
     return rows
 
 
-_HEADER = ("network", "iterations", *(text for subset in _SUBSETS for text in (subset, "paper")))
+_HEADER = ("network", "steps", *(text for subset in _SUBSETS for text in (subset, "paper")))
 
 
 def _verdict(measured: dict[str, Any]) -> str:
