@@ -18,6 +18,7 @@ from depthmocap.errors import InputError
 #: Module of each back end. It has ``find()``, the connected devices, and ``make(name, address)``, a source.
 BACK_ENDS = {
     "realsense": "depthmocap.capture.realsense",
+    "azure": "depthmocap.capture.azure_kinect",
 }
 SYNTHETIC = "synthetic"
 
