@@ -29,6 +29,7 @@ class _Command:
 _COMMANDS = (
     _Command("demo", "depthmocap.demo", "DemoSettings", "demo", "motion capture of the packaged recording"),
     _Command("run", "depthmocap.offline", "RunSettings", "run", "motion capture of a recording or a UBC3V section"),
+    _Command("live", "depthmocap.online.command", "LiveSettings", "run_live", "motion capture of live cameras"),
     _Command("record", "depthmocap.capture.record", "RecordSettings", "record", "record depth cameras to an MCAP file"),
     _Command("replay", "depthmocap.capture.replay", "ReplaySettings", "replay", "play a recording for Foxglove"),
     _Command("convert", "depthmocap.capture.convert", "ConvertSettings", "convert",
