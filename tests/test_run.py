@@ -159,3 +159,16 @@ def test_bad_recordings_are_one_clear_line(recording, tmp_path, spoil, message, 
 def test_missing_recording(tmp_path, capsys):
     assert main(["run", str(tmp_path / "nowhere"), "--out", str(tmp_path / "out")]) == 2
     assert "nowhere" in capsys.readouterr().err
+
+
+def test_a_filter_that_waits_loses_no_frame_and_keeps_their_times(recording, tmp_path):
+    for name, frames in (("kalman", 2), ("fixed-lag", 2), ("fixed-lag", 9)):  # 9: more than the recording has
+        out = tmp_path / f"{name} {frames}"
+        settings = RunSettings(recording, out, segment="none", smooth=name, lag_frames=frames, report=False)
+        summary = run(settings)
+        times, joints, confidence = read_csv(out / "pose.csv")
+        np.testing.assert_allclose(times, np.arange(6) * 0.1, atol=1e-6)
+        assert np.isfinite(joints).all() and (confidence > 0).all()
+        assert summary["error"]["joints_with_truth"] == 6 * len(JOINTS)
+        assert summary["error"]["mean_joint_error_cm"] < 8
+        assert summary["smoothing"]["delay_frames"] == (frames if name == "fixed-lag" else 0)

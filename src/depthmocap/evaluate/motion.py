@@ -36,12 +36,12 @@ _NOT_BINDING = ("out", "sequences", "sides_wrong", "lag_frames", "json")
 #: Columns of the table: field, heading, digits.
 _COLUMNS = (
     ("mean_joint_error_cm", "error cm", 2),
-    ("acceleration_error_mm", "accel. error mm/frame²", 1),
-    ("acceleration_error_mps2", "m/s²", 1),
-    ("rest_jitter_mm", "jitter at rest mm", 2),
-    ("foot_skate_cmps", "foot skate cm/s", 1),
-    ("bone_deviation_mm", "bones ± mm", 1),
-    ("flips_per_1000", "flips /1000", 1),
+    ("acceleration_error_mm", "accel. mm/f²", 1),
+    ("acceleration_error_mps2", "accel. m/s²", 1),
+    ("rest_jitter_mm", "jitter mm", 2),
+    ("foot_skate_cmps", "skate cm/s", 1),
+    ("bone_deviation_mm", "bones mm", 1),
+    ("flips_per_1000", "flips ‰", 1),
     ("lag_ms", "lag ms", 0),
     ("waits_ms", "waits ms", 0),
     ("us_per_frame", "CPU µs", 0),
@@ -189,8 +189,8 @@ def _wrong_sides(poses: list[Pose], share: float, rng: np.random.Generator) -> l
 
 
 def _table(title: str, rows: dict[str, dict[str, float]]) -> Table:
-    table = Table(title=title)
-    table.add_column("filter")
+    table = Table(title=title, box=None, padding=(0, 1, 0, 0))
+    table.add_column("filter", no_wrap=True)
     for _, heading, _ in _COLUMNS:
         table.add_column(heading, justify="right")
     for name, numbers in rows.items():
