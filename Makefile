@@ -25,7 +25,7 @@ $(VENV)/base: pyproject.toml
 	touch $@
 
 $(VENV)/dev: pyproject.toml constraints.txt $(VENV)/base
-	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[train,cluster,dev]'
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[train,cluster,record,datasets,realsense,dev]'
 	touch $@
 
 clean:
