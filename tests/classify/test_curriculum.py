@@ -39,6 +39,7 @@ def quick_training(runs: list[ClassifierTraining]):
             for name, parameter in network.named_parameters():
                 if name != "up1.bias":
                     parameter.zero_()
+            assert network.up1.bias is not None
             network.up1.bias[FAVOURED[settings.subset or "open"]] += 1 if settings.start is None else 5
         settings.out.mkdir(parents=True)
         save_file(network.state_dict(), settings.out / "classifier.safetensors")

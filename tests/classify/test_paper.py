@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -50,10 +52,16 @@ def test_layers_of_the_released_model(network: PaperNet) -> None:
 
 def test_sizes_are_the_papers(network: PaperNet) -> None:
     sizes = {}
-    for name, module in network.named_children():
-        module.register_forward_hook(lambda _, __, output, name=name: sizes.update({name: tuple(output.shape[1:])}))
+    names = {module: name for name, module in network.named_children()}
+
+    def note(module: Any, _: object, output: Any) -> None:
+        sizes[names[module]] = tuple(output.shape[1:])
+
+    hooks = [module.register_forward_hook(note) for module in names]
     with torch.no_grad():
         assert network(torch.zeros(1, *PaperNet.input_shape)).shape == (1, CLASSES, 250, 250)
+    for hook in hooks:
+        hook.remove()
     assert sizes["conv4"] == (44, 14, 14)
     assert sizes["conv1"] == (64, 125, 125)
     assert sizes["score1"][1:] == sizes["up2"][1:] == (34, 34)
