@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from depthmocap.capture.cameras import find_cameras, make_sources, open_camera
-from depthmocap.capture.recorded import Pace, RecordedCamera
+from depthmocap.capture.recorded import Pace, RecordedCamera, SyntheticCamera, SyntheticScene
 from depthmocap.capture.recording import Recording, RecordingWriter
 from depthmocap.capture.source import CameraError, DepthFrame, DepthSource, NoFrame, place
 from depthmocap.errors import InputError
@@ -174,3 +174,18 @@ def test_looking_for_cameras_never_fails() -> None:
     found, unable = find_cameras()
     assert all("pip install" in reason or reason for reason in unable.values())
     assert all(camera.spec for camera in found)
+
+
+def test_the_synthetic_scene_is_a_source_for_each_of_its_cameras() -> None:
+    pytest.importorskip("anny")
+    scene = SyntheticScene(sets=1)
+    stamps = []
+    for name in reversed(scene.rig.names):  # in any order: the others' frames wait
+        with SyntheticCamera(scene, name) as source:
+            (frame,) = list(source)
+            assert frame.raw.shape == (source.camera.height, source.camera.width)
+            assert (frame.raw > 0).mean() > 0.5
+            stamps.append(frame.timestamp_ns)
+    assert max(stamps) - min(stamps) < 10_000_000
+    with pytest.raises(CameraError, match="no camera 'x'"):
+        SyntheticCamera(scene, "x")
