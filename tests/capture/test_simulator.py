@@ -93,7 +93,7 @@ def test_bad_settings():
 
 
 def test_a_simulated_camera_delivers_in_real_time_and_dies_and_returns():
-    simulation = Simulation(Ramp(1), 100.0, 0.6, {"cam0": Faults(unplugged=((0.2, 0.3),), stuck=((0.4, 0.5),))})
+    simulation = Simulation(Ramp(1), 100.0, 2.0, {"cam0": Faults(unplugged=((0.2, 0.3),), stuck=((1.0, 1.5),))})
     camera, zero_ns = SimulatedCamera(simulation, "cam0", time.monotonic_ns()), time.monotonic_ns()
     with camera, pytest.raises(CameraError, match="not connected"):
         while camera.read() is not None:
@@ -106,5 +106,6 @@ def test_a_simulated_camera_delivers_in_real_time_and_dies_and_returns():
         assert camera.read() is None
     late_s = np.array([(frame.arrival_ns - zero_ns) * 1e-9 for frame in frames])
     assert late_s[0] >= 0.3
-    assert frames[0].timestamp_ns < 100_000_000  # its clock began anew
-    assert len(frames) <= 21
+    assert frames[0].timestamp_ns < 1_690_000_000  # its clock began anew, at 0.3 s
+    assert frames[-1].timestamp_ns == 1_690_000_000
+    assert len(frames) <= 70 + 1 + 50

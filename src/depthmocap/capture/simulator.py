@@ -235,23 +235,32 @@ class SimulatedCamera(DepthSource):
         self._faults = simulation.faults.get(name, Faults())
         self._events = simulation.camera_events(name)
         self._next: Event | None = next(self._events, None)
+        self._lost = False
 
     def _now_s(self) -> float:
         return (time.monotonic_ns() - self._zero_ns) * 1e-9
 
     def _check(self) -> None:
         if _within(self._now_s(), self._faults.unplugged):
+            self._lost = True
             raise CameraError(f"camera {self.name!r} is not connected")
+
+    def _due_s(self, event: Event) -> float:
+        return (event.arrival_ns - self._simulation.start_ns) * 1e-9
 
     def _open(self) -> DepthCamera:
         self._check()
+        # What was not read before it was lost is gone.
+        while self._lost and self._next is not None and self._due_s(self._next) < self._now_s():
+            self._next = next(self._events, None)
+        self._lost = False
         return self._simulation.scene.rig[self.name]
 
     def _read(self, timeout_s: float) -> DepthFrame | None:
         give_up_s = self._now_s() + timeout_s
         while (event := self._next) is not None:
             self._check()
-            due_s = (event.arrival_ns - self._simulation.start_ns) * 1e-9
+            due_s = self._due_s(event)
             for from_s, to_s in self._faults.stuck:
                 if from_s <= self._now_s() < to_s:
                     time.sleep(to_s - self._now_s())
