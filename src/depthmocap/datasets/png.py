@@ -1,7 +1,7 @@
-"""PNG files of labels and depth, in memory.
+"""PNG files of labels and depth, in memory (extra: train).
 
-Such pictures are mostly flat or empty: a compressor made for them (``kernels.deflate``) is several times as fast as
-libpng, for RGBA, and its files are no larger. The bytes depend on the picture alone.
+Such pictures are mostly flat or empty. ISA-L's compressor without PNG's filters is many times as fast on them as
+libpng, and its files are about a quarter larger. The bytes depend on the picture and the version of ISA-L alone.
 """
 
 from __future__ import annotations
@@ -13,13 +13,12 @@ import numpy as np
 from jaxtyping import Integer, UInt8
 from numpy import ndarray
 
-from depthmocap.kernels.deflate import deflate
+from depthmocap.errors import missing_extra
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GREY, _RGBA = 0, 6
-_BYTES = np.arange(1 << 8, dtype=np.uint8)[:, None]
-#: PNG has the high byte first.
-_PAIRS = np.arange(1 << 16, dtype=">u2").view(np.uint8).reshape(-1, 2)
+#: Of ISA-L's 0 to 3; the higher ones save next to nothing here.
+_LEVEL = 1
 
 
 def colour_png(values: Integer[ndarray, "h w"], colours: UInt8[ndarray, "n 4"]) -> bytes:
@@ -30,7 +29,9 @@ def colour_png(values: Integer[ndarray, "h w"], colours: UInt8[ndarray, "n 4"]) 
     """
     if values.size and (values.max() >= len(colours) or values.min() < 0):
         raise ValueError(f"values must be 0 to {len(colours) - 1}")
-    return _png(values, colours, 8, _RGBA)
+    # Four bytes as one number are looked up many times as fast.
+    pixels = np.ascontiguousarray(colours).view(np.uint32)[:, 0].take(values)
+    return _png(pixels.view(np.uint8).reshape(len(values), -1), values.shape, 8, _RGBA)
 
 
 def grey_png(image: Integer[ndarray, "h w"]) -> bytes:
@@ -42,15 +43,22 @@ def grey_png(image: Integer[ndarray, "h w"]) -> bytes:
     if image.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"a grey picture must be uint8 or uint16, got {image.dtype}")
     wide = image.dtype == np.uint16
-    return _png(image, _PAIRS if wide else _BYTES, 16 if wide else 8, _GREY)
+    rows = np.ascontiguousarray(image, ">u2" if wide else np.uint8).view(np.uint8)  # the high byte comes first
+    return _png(rows, image.shape, 16 if wide else 8, _GREY)
 
 
-def _png(values: Integer[ndarray, "h w"], pixels: UInt8[ndarray, "n k"], depth: int, kind: int) -> bytes:
-    if not values.size:
+def _png(rows: UInt8[ndarray, "h b"], shape: tuple[int, ...], depth: int, kind: int) -> bytes:
+    if not rows.size:
         raise ValueError("a picture needs at least one pixel")
-    height, width = values.shape
-    stream = deflate(np.ascontiguousarray(values), np.ascontiguousarray(pixels)).tobytes()
+    try:
+        from isal import isal_zlib
+    except ModuleNotFoundError:
+        raise missing_extra("isal", "train") from None
+    filtered = np.zeros((shape[0], rows.shape[1] + 1), np.uint8)  # each row begins with its filter: none
+    filtered[:, 1:] = rows
+    height, width = shape
     header = struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0)
+    stream = isal_zlib.compress(filtered, _LEVEL)
     return _SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", stream) + _chunk(b"IEND", b"")
 
 
