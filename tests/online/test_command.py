@@ -74,14 +74,15 @@ def test_an_interruption_leaves_complete_files(recording, tmp_path, monkeypatch)
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["interrupted"]
 
 
-def test_in_real_time_everything_is_recorded(recording, tmp_path):
+def test_in_real_time_everything_is_recorded_once_the_cameras_are_open(recording, tmp_path):
     pytest.importorskip("foxglove")
     copy = tmp_path / "copy.mcap"
     summary = run_live(LiveSettings((recording,), out=tmp_path / "out", record=copy, realtime=True, segment="none"))
     assert summary["poses"] + summary["sets_dropped"] > SETS / 2
     made, original = open_recording(copy), open_recording(Path(recording))
     for name in ("cam0", "cam1"):
-        assert made.stamps(name) == original.stamps(name)
+        assert SETS / 2 < len(made.stamps(name)) <= SETS
+        assert made.stamps(name) == original.stamps(name)[-len(made.stamps(name)) :]
         np.testing.assert_array_equal(made.raw(name, made.stamps(name)[5]), original.raw(name, made.stamps(name)[5]))
 
 
