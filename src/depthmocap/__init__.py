@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from depthmocap.offline import load_pipeline as load_pipeline
     from depthmocap.offline import open_source as open_source
     from depthmocap.offline import run as run
+    from depthmocap.online.live import live as live
     from depthmocap.pipeline import Pipeline as Pipeline
 
 __version__ = "0.1.0"
@@ -33,6 +34,7 @@ _LAZY = {
     "JOINTS": "depthmocap.body.skeleton",
     "Pipeline": "depthmocap.pipeline",
     "Recording": "depthmocap.capture.recording",
+    "live": "depthmocap.online.live",
     "RunSettings": "depthmocap.offline",
     "load_pipeline": "depthmocap.offline",
     "open_source": "depthmocap.offline",
@@ -50,6 +52,7 @@ __all__ = [
     "Rig",
     "RunSettings",
     "View",
+    "live",
     "load_pipeline",
     "load_rig",
     "open_source",

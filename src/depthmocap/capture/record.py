@@ -30,7 +30,7 @@ class RecordSettings:
     """Record depth cameras into an MCAP file until Ctrl-C, or until the sources end.
 
     Attributes:
-        sources: cameras such as realsense:SERIAL or left=orbbec, recordings, or synthetic.
+        sources: cameras such as realsense:SERIAL or left=azure:SERIAL, recordings, or synthetic.
         out: the new MCAP file.
         rig: a rig.json that tells where the cameras stand; without it they stand at the origin (recordings know).
         seconds: stop after so long.
