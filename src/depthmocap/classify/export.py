@@ -65,7 +65,8 @@ def _quiet() -> Iterator[None]:
 
 
 def store_half(model: onnx.ModelProto) -> None:
-    """Store the large weights of an ONNX model as fp16 behind a cast, in place."""
+    """Store the large weights of an ONNX model as fp16 behind a cast, in place, and drop the exporter's notes on where
+    in the source files of this machine each node came from."""
     from onnx import TensorProto, helper, numpy_helper
 
     graph = model.graph
@@ -80,3 +81,5 @@ def store_half(model: onnx.ModelProto) -> None:
     nodes = [*casts, *graph.node]
     del graph.node[:]
     graph.node.extend(nodes)
+    for part in (graph, *graph.node, *graph.value_info, *graph.initializer, *graph.input, *graph.output):
+        del part.metadata_props[:]
