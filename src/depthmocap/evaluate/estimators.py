@@ -19,9 +19,10 @@ from rich.console import Console
 from rich.table import Table
 
 from depthmocap.errors import InputError, missing_extra
-from depthmocap.pose.collect import Collected, Labels, PoseSamples, read_samples
+from depthmocap.pose.cloud import Labels
+from depthmocap.pose.collect import Collected, PoseSamples, read_samples
 from depthmocap.pose.parts import body_frame, network_inputs
-from depthmocap.pose.ridge import fit_ridge, grouped_folds
+from depthmocap.pose.ridge import feature_moments, fit_ridge, grouped_folds, standardise
 from depthmocap.pose.train import CLIP
 
 #: Strengths of LASSO, for standardised features and joints in metres.
@@ -105,16 +106,9 @@ def _ridge(features: ndarray, joints: ndarray, groups: ndarray, settings: Estima
 
 
 def _standardiser(features: ndarray, settings: EstimatorComparison) -> Predictor:
-    """As for ridge: unseen features are the mean, deviations bounded."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # features that no sample has
-        mean, deviation = np.nan_to_num(np.nanmean(features, 0)), np.nan_to_num(np.nanstd(features, 0), nan=1)
-    deviation = np.where(deviation < 1e-6, 1, deviation)
-
-    def standardise(rows: ndarray) -> ndarray:
-        return np.clip(np.nan_to_num((rows - mean) / deviation), -_clip(settings), _clip(settings)).astype(np.float64)
-
-    return standardise
+    """As for ridge."""
+    mean, scale = feature_moments(features)
+    return lambda rows: standardise(rows, mean, scale, _clip(settings)).astype(np.float64)
 
 
 def _lasso(features: ndarray, joints: ndarray, groups: ndarray, settings: EstimatorComparison) -> Predictor:

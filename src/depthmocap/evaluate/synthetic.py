@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Iterable, Iterator
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy import ndarray
@@ -18,9 +18,8 @@ from depthmocap.evaluate.metrics import PixelAccuracy, joint_errors_cm, joint_me
 from depthmocap.evaluate.protocol import joint_numbers
 from depthmocap.frames import FrameSet, View
 from depthmocap.pose.cloud import LabelledView, merge_views
+from depthmocap.pose.cloud import Labels as Labels
 from depthmocap.pose.estimate import JointEstimator
-
-Labels = Literal["network", "true"]
 
 
 def _network_labels(

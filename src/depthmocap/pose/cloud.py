@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
@@ -14,6 +15,10 @@ from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.kernels.cloud import count_labelled, unproject_labelled
+
+#: Labels of a view: the network's, or its true ones.
+Labels = Literal["network", "true"]
+LABELS: tuple[Labels, ...] = ("network", "true")
 
 #: A view, its labels per pixel, and the probabilities of those labels (None: the labels are true).
 LabelledView = tuple[View, UInt8[ndarray, "_ _"], Float[ndarray, "_ _"] | None]

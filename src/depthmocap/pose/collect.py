@@ -18,19 +18,17 @@ from numpy import ndarray
 from rich.console import Console
 from rich.progress import Progress
 
+from depthmocap.body.regions import REGION_COUNT
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.frames import View
-from depthmocap.pose.cloud import LabelledView, merge_views
+from depthmocap.pose.cloud import LABELS, LabelledView, Labels, merge_views
 from depthmocap.pose.features import FEATURE_COUNT, cloud_features
-from depthmocap.pose.parts import PART_COLUMNS, REGION_COUNT, part_statistics
+from depthmocap.pose.parts import PART_COLUMNS, part_statistics
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.output.stream import stream
 from depthmocap.synth.sample import ANY_SENSOR, CameraRange, Recipe, Sample
 
-#: Labels of a sample: its true ones, or the network's.
-Labels = Literal["network", "true"]
-LABELS: tuple[Labels, ...] = ("network", "true")
 #: Samples a file.
 _CHUNK = 100
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.resources
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -13,7 +13,7 @@ from numpy import ndarray
 from depthmocap.body.regions import REGION, REGION_COUNT
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
-from depthmocap.pose.cloud import LabelledCloud
+from depthmocap.pose.cloud import LabelledCloud, Labels
 from depthmocap.pose.features import Features, cloud_features
 from depthmocap.pose.ridge import RidgeBank
 
@@ -101,7 +101,7 @@ class RidgeEstimator:
         return features.to_world(joints[0].astype(np.float64)), joint_confidence(features)
 
 
-def load_estimator(source: str | Path = "votes", labels: Literal["network", "true"] = "network") -> JointEstimator:
+def load_estimator(source: str | Path = "votes", labels: Labels = "network") -> JointEstimator:
     """An estimator by name, packaged: "votes", or "ridge" (the paper's; fitted on network or on true ``labels``); or
     one of your own, a votes.onnx or a ridge .npz that ``depthmocap train pose`` wrote.
 

@@ -60,7 +60,7 @@ class RidgePose:
         Raises:
             InputError: when there are not 1032 features.
         """
-        x = _standardise(features, self.mean, self.scale, self.clip)
+        x = standardise(features, self.mean, self.scale, self.clip)
         return (x @ self.weights + self.bias).reshape(-1, len(JOINTS), 3)
 
     def save(self, path: Path) -> None:
@@ -174,8 +174,8 @@ def fit_ridge(
     _check_count(features)
     if np.isinf(features).any():
         raise InputError("features must be finite, or NaN for regions that nobody sees")
-    mean, scale = _moments(features)
-    x = _standardise(features, mean, scale, clip)
+    mean, scale = feature_moments(features)
+    x = standardise(features, mean, scale, clip)
     y = joints.reshape(len(joints), -1).astype(np.float64)
 
     if len(candidates) == 1:
@@ -208,7 +208,7 @@ def _check_count(features: ndarray) -> None:
         raise InputError(f"expected {FEATURE_COUNT} features (see cloud_features), got {features.shape[1]}")
 
 
-def _moments(features: ndarray) -> tuple[ndarray, ndarray]:
+def feature_moments(features: Float[ndarray, "n f"]) -> tuple[Float32[ndarray, "f"], Float32[ndarray, "f"]]:
     """Mean and deviation of what was seen of each feature; a constant or never seen feature gets the deviation 1."""
     seen = ~np.isnan(features)
     count = np.maximum(seen.sum(0), 1)
@@ -218,7 +218,10 @@ def _moments(features: ndarray) -> tuple[ndarray, ndarray]:
     return mean.astype(np.float32), np.where(constant, 1.0, deviation).astype(np.float32)
 
 
-def _standardise(features: ndarray, mean: ndarray, scale: ndarray, clip: float) -> ndarray:
+def standardise(
+    features: Float[ndarray, "n _"], mean: Float32[ndarray, "f"], scale: Float32[ndarray, "f"], clip: float
+) -> Float32[ndarray, "n _"]:
+    """Features in deviations from their mean, bounded by ±``clip``; an unseen one is the mean, 0."""
     _check_count(features)
     x = (features.astype(np.float32, copy=False) - mean) / scale
     x[np.isnan(x)] = 0

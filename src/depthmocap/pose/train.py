@@ -12,7 +12,8 @@ import tyro
 from rich.console import Console
 
 from depthmocap.errors import InputError, missing_extra
-from depthmocap.pose.collect import LABELS, Collected, Labels, PoseSamples, collect
+from depthmocap.pose.cloud import LABELS, Labels
+from depthmocap.pose.collect import Collected, PoseSamples, collect
 from depthmocap.pose.ridge import RidgeBank, fit_ridge
 from depthmocap.settings import plain_settings
 

@@ -23,7 +23,8 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from depthmocap.body.skeleton import MIRROR as MIRRORED_JOINTS
 from depthmocap.classify.train import load_weights
 from depthmocap.errors import InputError
-from depthmocap.pose.collect import LABELS, Collected, Labels
+from depthmocap.pose.cloud import LABELS, Labels
+from depthmocap.pose.collect import Collected
 from depthmocap.pose.parts import (
     CENTRE,
     COVARIANCE,
