@@ -5,30 +5,6 @@ import numpy as np
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def pose_skin(rest, normals, indices, weights, rotations, offsets, points, directions):
-    """Blend skinning of points together with their unit normals (see ``kernels.skin.skin``)."""
-    for v in range(rest.shape[0]):
-        x, y, z = rest[v, 0], rest[v, 1], rest[v, 2]
-        p, q, s = normals[v, 0], normals[v, 1], normals[v, 2]
-        a = b = c = d = e = f = np.float32(0)
-        for k in range(indices.shape[1]):
-            w = weights[v, k]
-            if w == 0:
-                break  # weights are sorted, largest first
-            r = rotations[indices[v, k]]
-            o = offsets[indices[v, k]]
-            a += w * (r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + o[0])
-            b += w * (r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + o[1])
-            c += w * (r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + o[2])
-            d += w * (r[0, 0] * p + r[0, 1] * q + r[0, 2] * s)
-            e += w * (r[1, 0] * p + r[1, 1] * q + r[1, 2] * s)
-            f += w * (r[2, 0] * p + r[2, 1] * q + r[2, 2] * s)
-        points[v, 0], points[v, 1], points[v, 2] = a, b, c
-        scale = 1 / (np.sqrt(d * d + e * e + f * f) + np.float32(1e-9))
-        directions[v, 0], directions[v, 1], directions[v, 2] = d * scale, e * scale, f * scale
-
-
-@numba.njit(cache=True, fastmath=True, nogil=True)
 def compression(points, starts, neighbours, rest_lengths, out):
     """``out[v]``: mean shortening of the edges at a vertex, 0 (none, or stretched) to 1; edges in CSR form."""
     for v in range(points.shape[0]):

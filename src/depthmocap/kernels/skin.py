@@ -5,25 +5,56 @@ import numpy as np
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
+def _turn(rotation, x, y, z):
+    """The rotated vector."""
+    return (
+        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
+        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z,
+        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z,
+    )
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
 def skin(rest, indices, weights, rotations, offsets, out):
     """``out[v] = Σ_k weights[v, k] · (rotations[b] @ rest[v] + offsets[b])`` with ``b = indices[v, k]``."""
     for v in range(rest.shape[0]):
         x, y, z = rest[v, 0], rest[v, 1], rest[v, 2]
-        a = np.float32(0)
-        b = np.float32(0)
-        c = np.float32(0)
+        a = b = c = np.float32(0)
         for k in range(indices.shape[1]):
             w = weights[v, k]
             if w == 0:
                 break  # weights are sorted, largest first
-            r = rotations[indices[v, k]]
             o = offsets[indices[v, k]]
-            a += w * (r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + o[0])
-            b += w * (r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + o[1])
-            c += w * (r[2, 0] * x + r[2, 1] * y + r[2, 2] * z + o[2])
-        out[v, 0] = a
-        out[v, 1] = b
-        out[v, 2] = c
+            turned_x, turned_y, turned_z = _turn(rotations[indices[v, k]], x, y, z)
+            a += w * (turned_x + o[0])
+            b += w * (turned_y + o[1])
+            c += w * (turned_z + o[2])
+        out[v, 0], out[v, 1], out[v, 2] = a, b, c
+
+
+@numba.njit(cache=True, fastmath=True, nogil=True)
+def skin_with_normals(rest, normals, indices, weights, rotations, offsets, out, directions):
+    """:func:`skin` of points, and their unit normals turned with them."""
+    for v in range(rest.shape[0]):
+        x, y, z = rest[v, 0], rest[v, 1], rest[v, 2]
+        p, q, s = normals[v, 0], normals[v, 1], normals[v, 2]
+        a = b = c = d = e = f = np.float32(0)
+        for k in range(indices.shape[1]):
+            w = weights[v, k]
+            if w == 0:
+                break
+            r, o = rotations[indices[v, k]], offsets[indices[v, k]]
+            turned_x, turned_y, turned_z = _turn(r, x, y, z)
+            a += w * (turned_x + o[0])
+            b += w * (turned_y + o[1])
+            c += w * (turned_z + o[2])
+            turned_x, turned_y, turned_z = _turn(r, p, q, s)
+            d += w * turned_x
+            e += w * turned_y
+            f += w * turned_z
+        out[v, 0], out[v, 1], out[v, 2] = a, b, c
+        scale = 1 / (np.sqrt(d * d + e * e + f * f) + np.float32(1e-9))
+        directions[v, 0], directions[v, 1], directions[v, 2] = d * scale, e * scale, f * scale
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)

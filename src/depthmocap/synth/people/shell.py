@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from depthmocap.body.model import Body, BoneTransforms
-from depthmocap.kernels.garment import between, compression, cut, edge_lengths, hang, pose_skin, rings, taut, wear
-from depthmocap.kernels.skin import vertex_normals
+from depthmocap.kernels.garment import between, compression, cut, edge_lengths, hang, rings, taut, wear
+from depthmocap.kernels.skin import skin_with_normals, vertex_normals
 from depthmocap.synth.people.cloth_map import ARM_M, LEG_M, SECTIONS, Anchors, ClothMap
 from depthmocap.synth.people.wardrobe import SKIRT_LINE_M, Garment, Hair, Shoes
 
@@ -71,7 +71,7 @@ class PosedCloth:
         """The rest skin moved by a posture."""
         cloth = rest.cloth
         points, normals = np.empty_like(rest.points), np.empty_like(rest.points)
-        pose_skin(
+        skin_with_normals(
             rest.points, rest.normals, cloth.skin_indices, cloth.skin_weights,
             transforms.rotations, transforms.offsets, points, normals,
         )  # fmt: skip
