@@ -49,7 +49,7 @@ def joints(bench: Bench) -> None:
     for view in sample.views:
         assert view.mask is not None and view.labels is not None
         labels = np.where(view.mask, view.labels, 0).astype(np.uint8)
-        parts.append((view, labels, view.mask.astype(np.float32)))
+        parts.append(LabelledView(view, labels, view.mask.astype(np.float32)))
 
     def ours() -> tuple[ndarray, ndarray]:
         return ridge(merge_views(parts))

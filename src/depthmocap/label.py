@@ -105,7 +105,7 @@ def label_image(settings: LabelSettings) -> UInt8[ndarray, "h w"]:
         person = person & (mask > 0)
     classifier = Classifier(settings.weights)
     view = View(_camera(settings, depth.shape), depth)
-    ((labels, _),) = classifier.label_views([view], [person])
+    ((labels, _, _),) = classifier.label_views([view], [person])
     if not labels.any():
         raise InputError(f"{settings.depth}: no person found; {np.count_nonzero(person)} pixels have valid depth")
     _write(settings.out, labels)

@@ -17,7 +17,7 @@ from numpy import ndarray
 
 from depthmocap.classify.runtime import Classifier
 from depthmocap.frames import FrameSet, Pose, View
-from depthmocap.pose.cloud import LabelledCloud, merge_views
+from depthmocap.pose.cloud import LabelledCloud, LabelledView, merge_views
 from depthmocap.pose.estimate import JointEstimator
 from depthmocap.pose.filter import PoseFilter
 
@@ -76,7 +76,7 @@ class Pipeline:
         clock.append(time.perf_counter())
         labelled = self._classifier.label_views(frames.views, masks)
         clock.append(time.perf_counter())
-        parts = [(view, labels, weights) for view, (labels, weights) in zip(frames.views, labelled, strict=True)]
+        parts = [LabelledView(view, *found) for view, found in zip(frames.views, labelled, strict=True)]
         cloud = merge_views(parts)
         clock.append(time.perf_counter())
         joints, confidence = self._estimator(cloud, self._up)
@@ -88,7 +88,7 @@ class Pipeline:
         return Result(
             pose,
             tuple(masks),
-            tuple(labels for labels, _ in labelled),
+            tuple(found.labels for found in labelled),
             cloud,
             dict(zip(STAGES, (np.diff(clock) * 1e3).tolist(), strict=True)),
         )

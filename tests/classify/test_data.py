@@ -9,29 +9,31 @@ import pytest
 
 from depthmocap.body.model import BodyModel
 from depthmocap.body.regions import REGION, UNLABELLED
+from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.classify import data
 from depthmocap.classify.data import Spoiling, training_window
-from depthmocap.classify.preprocess import WINDOW
+from depthmocap.classify.preprocess import DEPTH_SCALE_M, PIXEL_M, WINDOW
 from depthmocap.errors import InputError
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, PosturePrior
 from depthmocap.synth.sensing.sensors import SENSORS
 
 OFTEN = Spoiling()
+HEAD = [REGION[name] for name in ("forehead", "hair R", "hair L", "face R", "face L")]
 NEVER = Spoiling(truncate=0.0, scene=0.0, floor=0.0, occlude=0.0, erode=0.0)
 
 
-def window(index: int, spoiling: Spoiling | None = OFTEN, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def window(index: int, spoiling: Spoiling | None = OFTEN, seed: int = 0) -> data.LabelledWindow:
     postures = PosturePrior.load(variation=TRAINING_VARIATION)
     return training_window(seed, index, "open", postures, spoiling)
 
 
 @pytest.fixture(scope="module")
-def windows(body_model: BodyModel) -> list[tuple[np.ndarray, np.ndarray]]:
+def windows(body_model: BodyModel) -> list[data.LabelledWindow]:
     return [window(index) for index in range(24)]
 
 
-def test_contents(windows: list[tuple[np.ndarray, np.ndarray]]) -> None:
-    for inputs, labels in windows:
+def test_contents(windows: list[data.LabelledWindow]) -> None:
+    for inputs, labels, joints in windows:
         assert (inputs.shape, labels.shape) == ((3, WINDOW, WINDOW), (WINDOW, WINDOW))
         assert (inputs.dtype, labels.dtype) == (np.float32, np.uint8)
         assert np.isfinite(inputs).all()
@@ -42,11 +44,20 @@ def test_contents(windows: list[tuple[np.ndarray, np.ndarray]]) -> None:
         assert np.ptp(inputs[2]) == 0
         # The pixels that are learnt from: in the mask, and with a label.
         assert np.count_nonzero((inputs[1] > 0) & (labels != UNLABELLED)) > 80
-    seen = np.unique(np.concatenate([labels.ravel() for _, labels in windows]))
+        assert (joints.shape, joints.dtype) == ((18, 3), np.float32)
+        # Joints are where the person is: the head is among the head's pixels, or near them.
+        head = np.isin(labels, HEAD) & (inputs[1] > 0)
+        if np.count_nonzero(head) > 50:
+            pixel_m = PIXEL_M * 2 ** inputs[2, 0, 0]
+            rows, columns = np.nonzero(head)
+            place = [columns.mean() + 0.5 - WINDOW / 2, rows.mean() + 0.5 - WINDOW / 2, inputs[0][head].mean()]
+            off = joints[JOINT_INDEX["Head"]] - place * np.array([pixel_m, pixel_m, DEPTH_SCALE_M])
+            assert np.abs(off).max() < 0.3
+    seen = np.unique(np.concatenate([labels.ravel() for _, labels, _ in windows]))
     assert len(seen) > 40
 
 
-def test_depends_on_seed_and_index_alone(windows: list[tuple[np.ndarray, np.ndarray]]) -> None:
+def test_depends_on_seed_and_index_alone(windows: list[data.LabelledWindow]) -> None:
     for index in (17, 3, 17):  # in any order
         for array, same in zip(window(index), windows[index], strict=True):
             np.testing.assert_array_equal(array, same)
@@ -57,14 +68,14 @@ def test_depends_on_seed_and_index_alone(windows: list[tuple[np.ndarray, np.ndar
 def _share(spoiling: Spoiling | None, label: int) -> float:
     """Share of a label in the masks of some windows, each of another person: outfits differ far more than views."""
     drawn = [window(index * data._WINDOWS_A_PERSON, spoiling) for index in range(12)]
-    return float(np.mean([(labels[inputs[1] > 0] == label).mean() for inputs, labels in drawn]))
+    return float(np.mean([(labels[inputs[1] > 0] == label).mean() for inputs, labels, _ in drawn]))
 
 
 def test_floor_beside_the_feet_is_background(body_model: BodyModel) -> None:
     feet = [REGION[f"{part} {side}"] for part in ("ankle", "forefoot") for side in "RL"]
     near = total = 0
     for index in range(16):
-        inputs, labels = window(index, dataclasses.replace(NEVER, floor=1.0))
+        inputs, labels, _ = window(index, dataclasses.replace(NEVER, floor=1.0))
         rows, columns = np.nonzero((labels == 0) & (inputs[1] > 0))
         foot_rows, foot_columns = np.nonzero(np.isin(labels, feet))
         if len(rows) and len(foot_rows):
@@ -91,7 +102,7 @@ def test_occlusion_takes_pixels_from_the_mask(body_model: BodyModel) -> None:
         """Share of the person's labelled pixels that are not in the mask."""
         drawn = [window(index, spoiling) for index in range(16)]
         return float(
-            np.mean([(inputs[1][(labels != UNLABELLED) & (labels != 0)] == 0).mean() for inputs, labels in drawn])
+            np.mean([(inputs[1][(labels != UNLABELLED) & (labels != 0)] == 0).mean() for inputs, labels, _ in drawn])
         )
 
     assert hidden(occluded) > hidden(NEVER) + 0.01  # the sensor loses more, but the same in both

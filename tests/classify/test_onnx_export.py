@@ -52,8 +52,9 @@ def test_same_logits_and_labels(exported: tuple[FastNet, Path], count: int) -> N
     network, path = exported
     windows = torch.randn(count, 3, WINDOW, WINDOW, generator=torch.Generator().manual_seed(count))
     with torch.no_grad():
-        expected = network.eval()(windows).numpy()
-    (actual,) = session(path).run(["logits"], {"windows": windows.numpy()})
+        expected, places = (each.numpy() for each in network.eval()(windows))
+    actual, joints = session(path).run(["logits", "joints"], {"windows": windows.numpy()})
+    np.testing.assert_allclose(joints, places, atol=2e-2)
     assert actual.dtype == np.float32
     assert actual.shape == (count, 4 * CLASSES, WINDOW // 2, WINDOW // 2)
     assert np.linalg.norm(actual - expected) < 2e-2 * np.linalg.norm(expected)

@@ -22,7 +22,7 @@ from depthmocap.synth.render import render_body
 
 torch = pytest.importorskip("torch")
 
-from depthmocap.classify.networks import CLASSES, NETWORKS, masked_logits  # noqa: E402
+from depthmocap.classify.networks import CLASSES, NETWORKS, masked_outputs  # noqa: E402
 from depthmocap.classify.paper import PaperNet  # noqa: E402
 
 CAMERA = DepthCamera("camera", 512, 424, 368.0, 368.0, 255.5, 211.5)
@@ -84,19 +84,19 @@ def test_dropout_is_of_training_alone() -> None:
         assert torch.equal(network.eval()(x), network(x))
 
 
-def test_masked_logits(network: PaperNet) -> None:
+def test_masked_outputs(network: PaperNet) -> None:
     x = torch.rand(2, 2, 250, 250)
     mask = torch.rand(2, 250, 250) < 0.01
     labels = torch.arange(2 * 250 * 250).reshape(2, 250, 250)
     with torch.no_grad():
-        chosen, truth = masked_logits(network, x, labels, mask)
+        chosen, truth, _ = masked_outputs(network, x, labels, mask)
         full = network(x)
     assert torch.equal(truth, labels[mask])
     place = (1, 17, 201)
     mask = torch.zeros_like(mask)
     mask[place] = True
     with torch.no_grad():
-        assert torch.equal(masked_logits(network, x, labels, mask)[0][0], full[place[0], :, place[1], place[2]])
+        assert torch.equal(masked_outputs(network, x, labels, mask)[0][0], full[place[0], :, place[1], place[2]])
     assert chosen.shape == (len(truth), CLASSES)
 
 

@@ -193,3 +193,26 @@ def test_stray_pixels_do_not_change_the_window(default_body: Body) -> None:
     np.testing.assert_allclose(window.inputs, clean.inputs, atol=1e-3)
     # And no more than a few of the body's own pixels are taken for stray.
     assert window.inputs[1].sum() > 0.98 * (window.labels_from_image(labels) > 0).sum()
+
+
+@pytest.mark.parametrize("distortion", [(0.0,) * 5, (0.1, -0.05, 0.001, -0.002, 0.01)])
+def test_places_there_and_back(default_body: Body, distortion: tuple[float, float, float, float, float]) -> None:
+    camera = dataclasses.replace(camera_at(2.2), distortion=distortion)
+    depth, labels = picture(default_body, camera)
+    window = make_window(depth, labels > 0, camera)
+    assert window is not None
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.6, 0.6, (50, 3))
+    places = window.places_from_world(points, camera)
+    np.testing.assert_allclose(window.places_to_world(places, camera), points, atol=1e-4)
+    # A masked pixel is where its cell of the window says, at its depth.
+    row, column = (int(np.median(each)) for each in np.nonzero(labels > 0))
+    z = float(depth[row, column])
+    ray = camera.rays[row, column]
+    point = camera.world_from_camera[:3, :3] @ np.array([*ray * z, z]) + camera.world_from_camera[:3, 3]
+    right, down, behind = window.places_from_world(point[None], camera)[0]
+    j, i = (int(np.floor(x / window.pixel_m + WINDOW / 2)) for x in (right, down))
+    assert window.inputs[1, i, j] == 1
+    assert window.inputs[0, i, j] * DEPTH_SCALE_M == pytest.approx(behind, abs=0.03)
+    behind_camera = camera.world_from_camera[:3, 3] - camera.world_from_camera[:3, 2]
+    assert np.isnan(window.places_from_world(behind_camera[None], camera)[0, :2]).all()

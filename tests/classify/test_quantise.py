@@ -31,15 +31,22 @@ def test_same_labels_in_half_the_space(body_model, tmp_path):
     Classifier(path)  # a classifier like any other
 
     seen = windows[8:]
-    labels = [labels_of(each, seen) for each in (source, path)]
+    (labels, joints), (labels_8, joints_8) = (found(each, seen) for each in (source, path))
     person = seen[:, 1] > 0
-    assert (labels[0] == labels[1])[person].mean() > 0.95
-    assert len(np.unique(labels[1][person])) > 20
+    assert (labels == labels_8)[person].mean() > 0.95
+    assert len(np.unique(labels_8[person])) > 20
+    # Places are sums of what is not in 8 bits.
+    assert np.median(np.linalg.norm((joints - joints_8)[..., :3], axis=-1)) < 0.01
+    # Only convolutions have become smaller.
+    kinds = {node.op_type for node in onnx.load(path).graph.node}
+    assert {"QuantizeLinear", "Softmax", "ReduceSum"} <= kinds
 
 
-def labels_of(path: Path, windows):
-    """Labels (n, s, s)."""
-    (logits,) = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"]).run(None, {"windows": windows})
+def found(path: Path, windows):
+    """Labels (n, s, s) and joints."""
+    logits, joints = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"]).run(
+        None, {"windows": windows}
+    )
     n, _, h, w = logits.shape
     chosen = logits.reshape(n, 2, 2, CLASSES, h, w).argmax(3)
-    return chosen.transpose(0, 3, 1, 4, 2).reshape(n, 2 * h, 2 * w)
+    return chosen.transpose(0, 3, 1, 4, 2).reshape(n, 2 * h, 2 * w), joints

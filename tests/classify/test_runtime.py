@@ -75,20 +75,23 @@ def test_the_papers_network_runs_by_its_file_alone(exported: tuple[PaperNet, Pat
         with torch.no_grad():
             shares = network(torch.from_numpy(window.inputs[None])).softmax(1)[0].numpy()
         assert len(np.unique(shares.argmax(0)[person])) > 5
-        assert (found.window_labels == shares.argmax(0))[person].mean() > 0.99
-        assert np.median(np.abs(found.window_confidence - shares.max(0))[person]) < 0.01
-        assert not found.window_labels[~person].any()
+        inside = found.in_window
+        assert inside is not None
+        assert (inside.labels == shares.argmax(0))[person].mean() > 0.99
+        assert np.median(np.abs(inside.confidence - shares.max(0))[person]) < 0.01
+        assert not inside.labels[~person].any()
         # Back in the picture every pixel of the person has the label of its place in the window.
-        labels, confidence = window.labels_to_image(found.window_labels, found.window_confidence, mask)
-        np.testing.assert_array_equal(found.labels, labels)
-        np.testing.assert_array_equal(found.confidence, confidence)
-        assert not found.labels[~mask].any()
-        assert (found.confidence[mask] > 0).mean() > 0.95
+        labels, confidence = window.labels_to_image(inside.labels, inside.confidence, mask)
+        np.testing.assert_array_equal(found.found.labels, labels)
+        np.testing.assert_array_equal(found.found.confidence, confidence)
+        assert not found.found.labels[~mask].any()
+        assert (found.found.confidence[mask] > 0).mean() > 0.95
+        assert np.isnan(found.found.joints).all()  # which the paper's network does not tell
 
 
 def test_nobody(exported: tuple[PaperNet, Path]) -> None:
     view = View(CAMERA, np.full((424, 512), 2.0, np.float32))
-    ((labels, confidence),) = Classifier(exported[1], threads=1).label_views([view], [np.zeros((424, 512), bool)])
+    ((labels, confidence, _),) = Classifier(exported[1], threads=1).label_views([view], [np.zeros((424, 512), bool)])
     assert labels.shape == confidence.shape == (424, 512)
     assert not labels.any() and not confidence.any()
 

@@ -21,6 +21,7 @@ from depthmocap.classify.train import (  # noqa: E402
     ClassifierTraining,
     _make_optimiser,
     evaluate_windows,
+    joint_loss,
     load_weights,
     train_classifier,
 )
@@ -47,15 +48,15 @@ def test_ours_is_trained_by_adamw() -> None:
 def test_windows_of_the_papers_kind(body_model: BodyModel) -> None:
     source = WindowSource("paper", "synth", "hard", None, 0)
     windows = source.train(5)
-    x, y = windows[2]
+    x, y, _ = windows[2]
     assert x.shape == (2, 250, 250) and y.shape == (250, 250)
     person = x[1] > 0
     assert (y[~person] == 0).all()  # what is not the person is learnt as background
     assert len(np.unique(y[person])) > 8
     assert (y == UNLABELLED).mean() < 0.01
-    for array, same in zip((x, y), source.train()[7], strict=True):
+    for array, same in zip((x, y), source.train()[7][:2], strict=True):
         np.testing.assert_array_equal(array, same)
-    valid_x, valid_y = source.valid(2)
+    valid_x, valid_y, _ = source.valid(2)
     assert valid_x.shape == (2, 2, 250, 250) and valid_y.dtype == torch.uint8
     assert not (valid_y[0] == torch.from_numpy(source.train()[0][1])).all()
 
@@ -77,8 +78,10 @@ def test_the_papers_network_learns_resumes_and_exports(body_model: BodyModel, tm
     load_weights(network, settings.out / "classifier.safetensors")
     for name, value in network.state_dict().items():
         torch.testing.assert_close(value, state["network"][name], rtol=1e-3, atol=1e-5)
-    x, y = settings.source.valid(1)
-    assert evaluate_windows(network, x, y).pixels == ((x[:, 1] > 0) & (y > 0) & (y != UNLABELLED)).sum()
+    x, y, joints = settings.source.valid(1)
+    accuracy, joint_m = evaluate_windows(network, x, y, joints)
+    assert np.isnan(joint_m)
+    assert accuracy.pixels == ((x[:, 1] > 0) & (y > 0) & (y != UNLABELLED)).sum()
     with pytest.raises(InputError, match=r"checkpoint\.pt is of another network or optimiser"):
         train_classifier(dataclasses.replace(settings, network="fast", images=8))
 
@@ -86,3 +89,17 @@ def test_the_papers_network_learns_resumes_and_exports(body_model: BodyModel, tm
 def test_average_that_cannot_be(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--average must be from 0"):
         train_classifier(ClassifierTraining(tmp_path, average=1.0))
+
+
+def test_joint_loss() -> None:
+    places = torch.full((2, 18, 3), torch.nan)
+    places[0, 3], places[1, 5] = torch.tensor([1.0, 0, 0]), torch.tensor([0, 2.0, 0])
+    found = torch.zeros(2, 18, 4, requires_grad=True)
+    loss = joint_loss(found, places)
+    assert loss.item() == pytest.approx(1.5 + 0.01 * 1.5)  # errors of 1 and 2 m where 1 m is expected
+    loss.backward()
+    assert found.grad is not None and found.grad.isfinite().all()
+    assert found.grad[0, 3].tolist() == pytest.approx([-0.5, 0, 0, 0])
+    assert found.grad[1, 5].tolist() == pytest.approx([0, -0.5, 0, 0.01 * 0.5 * (1 - 2)])
+    assert not found.grad[0, 4].any()
+    assert joint_loss(found, torch.full_like(places, torch.nan)).item() == 0

@@ -15,7 +15,7 @@ from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.classify.runtime import Classifier
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera, look_at
-from depthmocap.pose.cloud import merge_views
+from depthmocap.pose.cloud import LabelledView, merge_views
 from depthmocap.pose.estimate import load_estimator
 from depthmocap.synth.motion.postures import PosturePrior
 from depthmocap.synth.render import render_body
@@ -43,8 +43,8 @@ def scenes(body: Body, camera: DepthCamera, count: int, dtype: type = np.float32
         depth_m, _ = render_body(body.pose(posture), level)
         depth_m = depth_m.astype(dtype).astype(np.float32)
         view = View(own, depth_m, depth_m > 0)
-        ((labels, weights),) = classifier.label_views([view], [depth_m > 0])
-        joints, _ = estimator(merge_views([(view, labels, weights)]), "-y")
+        (labelled,) = classifier.label_views([view], [depth_m > 0])
+        joints, _ = estimator(merge_views([LabelledView(view, *labelled)]), "-y")
         found.append(Scene(depth_m, joints))
     return found
 

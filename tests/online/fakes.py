@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from depthmocap.classify.runtime import Found
 from depthmocap.geometry import DepthCamera, Rig, look_at
 from depthmocap.pipeline import Pipeline
 
@@ -12,7 +13,7 @@ class FakeClassifier:
     """Everything is region 1."""
 
     def label_views(self, views, masks):
-        return [(mask.astype(np.uint8), mask.astype(np.float32)) for mask in masks]
+        return [Found(mask.astype(np.uint8), mask.astype(np.float32), np.full((18, 4), np.nan)) for mask in masks]
 
 
 class FakeEstimator:

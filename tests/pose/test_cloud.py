@@ -6,7 +6,7 @@ import pytest
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera, look_at, transform_points
-from depthmocap.pose.cloud import merge_views
+from depthmocap.pose.cloud import LabelledView, merge_views
 
 SHAPE = (30, 40)
 
@@ -37,7 +37,7 @@ def test_merge_equals_unprojection_camera_by_camera():
     rng = np.random.default_rng(0)
     lens = (0.1, -0.05, 0.001, -0.002, 0.01)
     parts = [make_part(rng, make_camera("a")), make_part(rng, make_camera("b", lens, 2.0))]
-    cloud = merge_views(parts)
+    cloud = merge_views([LabelledView(*part) for part in parts])
     points, labels, weights = (np.concatenate(x) for x in zip(*(reference(*part) for part in parts), strict=True))
     np.testing.assert_allclose(cloud.points_world, points, atol=2e-6)
     np.testing.assert_array_equal(cloud.labels, labels)
@@ -47,7 +47,7 @@ def test_merge_equals_unprojection_camera_by_camera():
 def test_true_labels_weigh_one_and_float64_depth_is_taken():
     view, labels, _ = make_part(np.random.default_rng(1), make_camera())
     view = dataclasses.replace(view, depth_m=view.depth_m.astype(np.float64))
-    cloud = merge_views([(view, labels, None)])
+    cloud = merge_views([LabelledView(view, labels)])
     assert len(cloud) > 0
     assert (cloud.weights == 1).all()
 
@@ -55,15 +55,15 @@ def test_true_labels_weigh_one_and_float64_depth_is_taken():
 def test_no_views_and_empty_labels_give_an_empty_cloud():
     view, labels, weights = make_part(np.random.default_rng(2), make_camera())
     assert len(merge_views([])) == 0
-    assert len(merge_views([(view, np.zeros_like(labels), weights)])) == 0
+    assert len(merge_views([LabelledView(view, np.zeros_like(labels), weights)])) == 0
 
 
 def test_shapes_must_agree():
     view, labels, weights = make_part(np.random.default_rng(3), make_camera())
     with pytest.raises(InputError, match="'a'"):
-        merge_views([(view, labels[:-1], None)])
+        merge_views([LabelledView(view, labels[:-1])])
     with pytest.raises(InputError, match="weights"):
-        merge_views([(view, labels, weights[:, 1:])])
+        merge_views([LabelledView(view, labels, weights[:, 1:])])
     bent = dataclasses.replace(make_camera(distortion=(0.1, 0.0, 0.0, 0.0, 0.0)), width=SHAPE[1] + 1)
     with pytest.raises(InputError, match="rows, columns"):
-        merge_views([(dataclasses.replace(view, camera=bent), labels, None)])
+        merge_views([LabelledView(dataclasses.replace(view, camera=bent), labels)])

@@ -10,7 +10,7 @@ from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera
 from depthmocap.geometry.transforms import look_at
-from depthmocap.pose.cloud import LabelledCloud, merge_views
+from depthmocap.pose.cloud import LabelledCloud, LabelledView, merge_views
 from depthmocap.pose.parts import (
     AREA,
     CENTRE,
@@ -52,13 +52,13 @@ def person_views(posed, azimuths):
         eye = centre + np.array([2.5 * np.sin(azimuth), -2.5 * np.cos(azimuth), 0.3])
         camera = DepthCamera("a", 320, 240, 280.0, 280.0, 160.0, 120.0, world_from_camera=look_at(eye, centre, 0.0))
         rendering = render_person(posed, camera)
-        views.append((View(camera, rendering.depth_m), rendering.labels, None))
+        views.append(LabelledView(View(camera, rendering.depth_m), rendering.labels))
     return views
 
 
 @pytest.fixture(scope="module")
 def posed(body_model):
-    from depthmocap.synth.motion.sequence import REST_POSTURE
+    from depthmocap.body.model import REST_POSTURE
 
     return PosedPerson(BodyModel.load().shape(ONE_CHARACTER).pose(REST_POSTURE))
 
@@ -68,7 +68,7 @@ def test_moments_are_those_of_the_points():
     # Narrow enough that reweighting by distance does nothing to speak of.
     points = rng.normal([0.3, 0.1, 0.2], [0.004, 0.002, 0.006], (300, 3))
     parts = part_statistics(cloud_of(points, np.full(300, HAND), weights=np.full(300, 0.7)))
-    assert parts.shape == (1, 43, 16)
+    assert parts.shape == (1, 61, 16)
     row = parts[0, HAND - 1]
     assert row[COUNT] == 300
     assert row[PROBABILITY] == pytest.approx(0.7)
@@ -118,6 +118,24 @@ def test_each_camera_has_its_own_row(posed):
         np.testing.assert_array_equal(both[i], part_statistics(merge_views([view]))[0])
 
 
+def test_joints_that_cameras_tell_are_parts(posed):
+    plain, told = person_views(posed, (0, 2))
+    joints = np.column_stack([posed.joints, np.linspace(0.01, 0.4, 18)])
+    parts = part_statistics(merge_views([plain, told._replace(joints=joints)]))
+    assert not parts[0, 43:].any()
+    rows = parts[1, 43:]
+    np.testing.assert_allclose(rows[:, CENTRE], posed.joints, atol=1e-6)
+    assert (rows[:, COUNT] == 1).all() and not rows[:, AREA].any()
+    assert (np.diff(rows[:, PROBABILITY]) < 0).all()  # the larger the error to expect
+    # The body's frame comes from the regions, and joints are put into it with them.
+    frame = body_frame(parts)
+    np.testing.assert_array_equal(frame.turn, body_frame(part_statistics(merge_views([plain, told]))).turn)
+    inputs, seen = network_inputs(parts, frame)
+    assert seen[1, 43:].all() and not seen[0, 43:].any()
+    np.testing.assert_allclose(inputs[1, 43:, CENTRE], frame.from_world(posed.joints), atol=1e-5)
+    np.testing.assert_allclose(inputs[1, 43:, COVARIANCE][:, [0, 3, 5]], np.repeat(joints[:, 3:], 3, 1) * 10, rtol=1e-4)
+
+
 @pytest.mark.parametrize("azimuths", [(0,), (np.pi / 2,), (np.pi,), (-2.2,), (0, 2, 4)])
 @pytest.mark.parametrize("heading", [0.0, 1.0, 3.0])
 def test_frame_faces_as_the_body_does(posed, azimuths, heading):
@@ -162,7 +180,7 @@ def test_inputs_of_unseen_regions_are_zero(posed):
 
 
 def test_nothing_seen_has_a_frame_all_the_same():
-    frame = body_frame(np.zeros((2, 43, 16), np.float32))
+    frame = body_frame(np.zeros((2, 61, 16), np.float32))
     np.testing.assert_array_equal(frame.origin, 0)
     np.testing.assert_array_equal(frame.turn, np.eye(3))
 

@@ -7,7 +7,7 @@ import pytest
 
 from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.errors import InputError
-from depthmocap.pose.cloud import LabelledCloud, merge_views
+from depthmocap.pose.cloud import LabelledCloud, LabelledView, merge_views
 from depthmocap.pose.estimate import load_estimator
 from depthmocap.pose.parts import MIRRORED, body_frame, network_inputs, part_statistics
 from depthmocap.pose.votes import VotesEstimator
@@ -26,7 +26,7 @@ def samples(body_model):
 
 
 def cloud_of(sample, views=3):
-    return merge_views([(view, view.labels, None) for view in sample.views[:views]])
+    return merge_views([LabelledView(view, view.labels) for view in sample.views[:views]])
 
 
 def parts_of(samples):
@@ -54,6 +54,7 @@ def test_order_and_absence_of_cameras_make_no_difference(samples):
 def test_gradient_reaches_every_parameter(samples):
     parts = parts_of(samples)
     parts[:, :, 0] = 0  # a region that nobody sees, whose parameters serve too
+    parts[0, 0, 43:] = parts[0, 0, :18]  # joints that a camera tells
     network = small_network().train()
     joints, sure = network(torch.from_numpy(network_inputs(parts, body_frame(parts))[0]))
     (joints.square().sum() + sure.square().sum()).backward()

@@ -184,7 +184,7 @@ def _measured(settings: CurriculumTraining, optimiser: Optimiser, stage: _Stage 
     network.to(settings.device)
     found = {}
     for subset in _SUBSETS:
-        accuracy = evaluate_windows(network, *settings.source(subset).valid(settings.valid_images), settings.device)
+        accuracy, _ = evaluate_windows(network, *settings.source(subset).valid(settings.valid_images), settings.device)
         found[subset] = {"class_accuracy": accuracy.class_accuracy, "pixel_accuracy": accuracy.pixel_accuracy}
     folder.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(found, indent=1) + "\n")

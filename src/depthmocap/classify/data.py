@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from depthmocap.body.regions import REGION, UNLABELLED
-from depthmocap.classify.preprocess import make_window
+from depthmocap.classify.preprocess import Window, make_window
 from depthmocap.errors import InputError
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.synth.motion.postures import PostureSource
@@ -36,6 +36,26 @@ _WINDOWS_A_PERSON = 4
 _MARGIN = 16
 #: Cloth within this of the skin's outline is not taught as background (metres).
 _HALO_M = 0.05
+
+#: Joints farther from the window's middle than this are not taught (metres).
+_REACH_M = 3.0
+
+
+class LabelledWindow(NamedTuple):
+    """What a network learns from: a window's inputs, its labels, 255 where they are not known, and the places of the
+    joints in it (see ``Window.places_from_world``), NaN where they are not."""
+
+    inputs: Float[ndarray, "c s s"]
+    labels: UInt8[ndarray, "s s"]
+    joints: Float[ndarray, "18 3"]
+
+
+def joint_places(window: Window, joints: Float[ndarray, "18 3"], camera: DepthCamera) -> Float[ndarray, "18 3"]:
+    """Where to teach the joints, given in the world; NaN where they are behind the camera or far away."""
+    places = window.places_from_world(joints, camera)
+    near = (np.abs(places) < _REACH_M).all(1, keepdims=True)
+    return np.where(near, places, np.nan).astype(np.float32)
+
 
 #: Depth and materials of what is around a person.
 _Background: TypeAlias = tuple[Float[ndarray, "h w"], UInt8[ndarray, "h w"]]
@@ -66,8 +86,8 @@ class Spoiling:
 
 def training_window(
     seed: int, index: int, subset: Subset, postures: PostureSource, spoiling: Spoiling | None
-) -> tuple[Float[ndarray, "3 s s"], UInt8[ndarray, "s s"]]:
-    """The ``index``-th window of a seed: inputs float32 and labels, 255 where unknown.
+) -> LabelledWindow:
+    """The ``index``-th window of a seed.
 
     Depends on the seed and index alone, so that any number of workers makes the same data. ``spoiling=None`` gives
     well segmented people alone, with the sensor's errors, for validation.
@@ -93,7 +113,8 @@ def training_window(
         window = make_window(depth, mask, camera)
         known = mask & (labels > 0) & (labels != UNLABELLED)
         if window is not None and np.count_nonzero(known) > _FEWEST // 2:
-            return window.inputs, window.labels_from_image(labels, UNLABELLED)
+            joints = joint_places(window, person.joints, camera)
+            return LabelledWindow(window.inputs, window.labels_from_image(labels, UNLABELLED), joints)
     raise InputError(f"no person could be drawn in 20 tries (seed {seed}, index {index})")
 
 

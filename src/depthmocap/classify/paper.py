@@ -22,6 +22,7 @@ class PaperNet(nn.Module):
     input_shape = (2, PAPER_WINDOW, PAPER_WINDOW)
     #: The empty pixels around the person are learnt too, as background.
     learns_background = True
+    tells_joints = False
 
     def __init__(self) -> None:
         super().__init__()

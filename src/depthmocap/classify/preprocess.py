@@ -18,6 +18,7 @@ from numpy import ndarray
 from PIL import Image
 
 from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.geometry.transforms import transform_points
 from depthmocap.kernels.window import gather, gather_labels, scatter, supported
 
 #: Side of the window, and of the person's bounding box in it (pixels).
@@ -42,12 +43,35 @@ MIN_PIXELS = 40
 @dataclasses.dataclass(frozen=True, eq=False)
 class Window:
     """What a network reads, of which channel 1 is always the mask, and where it lies: window pixel (i, j) shows the
-    picture at ``(top + (i + 0.5)·step, left + (j + 0.5)·step)``, rounded down."""
+    picture at ``(top + (i + 0.5)·step, left + (j + 0.5)·step)``, rounded down.
+
+    Our window also knows the depth of its middle and the size of its pixels there (metres), which make places in it
+    metric: right, down and forwards of the middle.
+    """
 
     inputs: Float[ndarray, "c s s"]
     left: float
     top: float
     step: float
+    centre_m: float = float("nan")
+    pixel_m: float = float("nan")
+
+    def places_from_world(self, points_world: Float[ndarray, "n 3"], camera: DepthCamera) -> Float[ndarray, "n 3"]:
+        """Places of world points in our window (metres); NaN for points behind the camera."""
+        u, v, z = camera.project(points_world).T
+        half = self.inputs.shape[1] / 2
+        right = ((u + 0.5 - self.left) / self.step - half) * self.pixel_m
+        down = ((v + 0.5 - self.top) / self.step - half) * self.pixel_m
+        return np.stack([right, down, z - self.centre_m], -1)
+
+    def places_to_world(self, places: Float[ndarray, "n 3"], camera: DepthCamera) -> Float[ndarray, "n 3"]:
+        """World points (metres) of places in our window."""
+        half = self.inputs.shape[1] / 2
+        u = (places[:, 0] / self.pixel_m + half) * self.step + self.left - 0.5
+        v = (places[:, 1] / self.pixel_m + half) * self.step + self.top - 0.5
+        rays = camera.rays_through(np.stack([u, v], -1).astype(np.float64))
+        z = places[:, 2:] + self.centre_m
+        return transform_points(camera.world_from_camera, np.concatenate([rays * z, z], -1))
 
     def labels_from_image(self, labels: UInt8[ndarray, "h w"], fill: int = 0) -> UInt8[ndarray, "s s"]:
         """Labels of the picture in the window."""
@@ -92,8 +116,9 @@ def make_window(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], came
     y0 = (top + bottom) / 2 - WINDOW / 2 * step
     inputs = np.zeros((3, WINDOW, WINDOW), dtype=np.float32)
     gather(depth_m, solid, x0, y0, step, centre_m, DEPTH_SCALE_M, inputs)
-    inputs[2] = np.log2(centre_m * step / camera.fx / PIXEL_M)
-    return Window(inputs, float(x0), float(y0), float(step))
+    pixel_m = float(centre_m * step / camera.fx)
+    inputs[2] = np.log2(pixel_m / PIXEL_M)
+    return Window(inputs, float(x0), float(y0), float(step), centre_m, pixel_m)
 
 
 def make_paper_window(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], camera: DepthCamera) -> Window | None:

@@ -5,16 +5,46 @@ from __future__ import annotations
 import logging
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jaxtyping import Float32
 from numpy import ndarray
 
+if TYPE_CHECKING:
+    import onnx
+
 _BATCH = 8
+
+
+def _telling_joints(model: onnx.ModelProto) -> list[str]:
+    """Names of the nodes that serve the joints alone, without the large convolutions."""
+    makers = {name: node for node in model.graph.node for name in node.output}
+
+    def behind(output: str) -> dict[str, onnx.NodeProto]:
+        found, open_names = {}, [output]
+        while open_names:
+            node = makers.get(open_names.pop())
+            if node is not None and node.name not in found:
+                found[node.name] = node
+                open_names += node.input
+        return found
+
+    outputs = [output.name for output in model.graph.output]
+    if "joints" not in outputs:
+        return []
+    kernels = {tensor.name: list(tensor.dims)[2:] for tensor in model.graph.initializer}
+    labels = behind("logits")
+    return [
+        name
+        for name, node in behind("joints").items()
+        if name not in labels and not (node.op_type == "Conv" and kernels.get(node.input[1], [1]) != [1, 1])
+    ]
 
 
 def quantise(source: Path, windows: Float32[ndarray, "n 3 s s"], path: Path) -> Path:
     """Write an ONNX classifier with the convolutions of ``source`` in 8 bits.
 
+    How the joints are told stays as it is but for convolutions of more than one pixel: places want more than 8 bits.
     Ranges of activations are those seen on ``windows``, from training data. Weights are scaled channel by channel and
     use 7 of their 8 bits, because older processors' sums overflow otherwise; inputs, outputs and metadata stay as they
     are.
@@ -45,6 +75,7 @@ def quantise(source: Path, windows: Float32[ndarray, "n 3 s s"], path: Path) -> 
             quantize_static(
                 plain, integer, Windows(), quant_format=QuantFormat.QDQ, per_channel=True, reduce_range=True,
                 activation_type=QuantType.QUInt8, weight_type=QuantType.QInt8,
+                nodes_to_exclude=_telling_joints(onnx.load(plain)),
             )  # fmt: skip
         finally:
             logging.disable(logging.NOTSET)

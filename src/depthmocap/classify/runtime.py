@@ -6,11 +6,13 @@ import dataclasses
 import importlib.resources
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
+from depthmocap.body.skeleton import JOINTS
 from depthmocap.classify.preprocess import WINDOW_MAKERS, Window, WindowMaker
 from depthmocap.errors import InputError
 from depthmocap.frames import View
@@ -21,16 +23,34 @@ from depthmocap.kernels.head import label_pixels
 _READERS = {"fast": label_pixels, "paper": label_dense_pixels}
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class LabelledMask:
-    """Regions 0–43 and their probabilities at a view's masked pixels, 0 elsewhere; the window (None where nobody was
-    found) and its own labels and probabilities."""
+class Found(NamedTuple):
+    """What the network finds in a view: regions 0–43 and their probabilities at the masked pixels, 0 elsewhere; and
+    where it takes the joints to be in the world, with the error to expect (metres), NaN where it does not tell."""
 
     labels: UInt8[ndarray, "h w"]
     confidence: Float[ndarray, "h w"]
+    joints: Float[ndarray, "18 4"]
+
+
+class FoundInWindow(NamedTuple):
+    """The same in a window: places of the joints as in ``Window.places_from_world``, and the logarithm of the error."""
+
+    labels: UInt8[ndarray, "s s"]
+    confidence: Float[ndarray, "s s"]
+    joints: Float[ndarray, "18 4"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LabelledMask:
+    """What was found in a view, in its window, and the window: None where nobody was."""
+
+    found: Found
     window: Window | None
-    window_labels: UInt8[ndarray, "_ _"]
-    window_confidence: Float[ndarray, "_ _"]
+    in_window: FoundInWindow | None
+
+
+def _no_joints() -> Float[ndarray, "18 4"]:
+    return np.full((len(JOINTS), 4), np.nan)
 
 
 class Classifier:
@@ -39,6 +59,7 @@ class Classifier:
     Attributes:
         path: of its file.
         network: its name, "fast" or "paper", which the file tells; windows are made as that network wants them.
+        tells_joints: whether it tells where the joints are, besides the labels.
         make_window: makes them.
     """
 
@@ -65,7 +86,7 @@ class Classifier:
         except Exception as error:  # the runtime's errors share no public base class
             raise InputError(f"{source} is not a readable ONNX network: {str(error).splitlines()[0]}") from None
         names = [node.name for node in self._session.get_inputs()], [node.name for node in self._session.get_outputs()]
-        if names != (["windows"], ["logits"]):
+        if names[0] != ["windows"] or names[1] not in (["logits"], ["logits", "joints"]):
             raise InputError(f"{source} is not a depthmocap classifier: its inputs and outputs are {names}")
         name = self._session.get_modelmeta().custom_metadata_map.get("network", "fast")
         if name not in WINDOW_MAKERS:
@@ -73,37 +94,43 @@ class Classifier:
                 f"{source} holds a network {name!r}, and this version knows {', '.join(WINDOW_MAKERS)}: "
                 "update depthmocap, or train the classifier anew"
             )
-        self.path, self.network = source, name
+        self.path, self.network, self.tells_joints = source, name, "joints" in names[1]
         self.make_window: WindowMaker = WINDOW_MAKERS[name]
         self._read = _READERS[name]
 
-    def label_windows(self, windows: Sequence[Window]) -> list[tuple[UInt8[ndarray, "s s"], Float[ndarray, "s s"]]]:
-        """Labels and confidences of windows, 0 where a window has no person, all views in one call."""
+    def label_windows(self, windows: Sequence[Window]) -> list[FoundInWindow]:
+        """What is found in windows, in one call of the network; labels are 0 where a window has no person."""
         if not windows:
             return []
-        logits = self._session.run(None, {"windows": np.stack([window.inputs for window in windows])})[0]
+        outputs = self._session.run(None, {"windows": np.stack([window.inputs for window in windows])})
+        logits, joints = np.asarray(outputs[0]), [_no_joints()] * len(windows)
+        if len(outputs) > 1:
+            joints = list(np.asarray(outputs[1], np.float64))
         results = []
-        for window, output in zip(windows, np.asarray(logits), strict=True):
+        for window, output, places in zip(windows, logits, joints, strict=True):
             mask = window.inputs[1] > 0
             labels, confidence = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
             self._read(output, mask, labels, confidence)
-            results.append((labels, confidence))
+            results.append(FoundInWindow(labels, confidence, places))
         return results
 
     def label_masks(self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]) -> Iterator[LabelledMask]:
-        """Labels of every masked pixel of every view, in order, and the windows they come from; one network call."""
+        """What is found in every view, in order, and the windows it comes from; one call of the network."""
         windows = [self.make_window(view.depth_m, mask, view.camera) for view, mask in zip(views, masks, strict=True)]
         found = iter(self.label_windows([window for window in windows if window is not None]))
-        for window, mask in zip(windows, masks, strict=True):
+        for window, view, mask in zip(windows, views, masks, strict=True):
             if window is None:
-                labels, confidence = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
-                yield LabelledMask(labels, confidence, None, labels[:0], confidence[:0])
+                nothing = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
+                yield LabelledMask(Found(*nothing, _no_joints()), None, None)
             else:
-                labels, confidence = next(found)
-                yield LabelledMask(*window.labels_to_image(labels, confidence, mask), window, labels, confidence)
+                inside = next(found)
+                labels, confidence = window.labels_to_image(inside.labels, inside.confidence, mask)
+                joints = inside.joints
+                if self.tells_joints:
+                    places = window.places_to_world(joints[:, :3], view.camera)
+                    joints = np.concatenate([places, np.exp(joints[:, 3:])], 1)
+                yield LabelledMask(Found(labels, confidence, joints), window, inside)
 
-    def label_views(
-        self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]
-    ) -> list[tuple[UInt8[ndarray, "_ _"], Float[ndarray, "_ _"]]]:
-        """Region 0–43 of every masked pixel of every view, and its probability; all 0 where nobody is."""
-        return [(found.labels, found.confidence) for found in self.label_masks(views, masks)]
+    def label_views(self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]) -> list[Found]:
+        """What is found in every view: labels are 0 and joints NaN where nobody is."""
+        return [each.found for each in self.label_masks(views, masks)]

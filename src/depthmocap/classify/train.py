@@ -19,7 +19,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from depthmocap.body.regions import UNLABELLED
 from depthmocap.classify.export import export_onnx
-from depthmocap.classify.networks import NETWORKS, Network, masked_logits
+from depthmocap.classify.networks import NETWORKS, Network, masked_outputs
 from depthmocap.classify.preprocess import NetworkName
 from depthmocap.classify.quantise import quantise
 from depthmocap.classify.windows import Batches, WindowSource
@@ -29,6 +29,8 @@ from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.sample import Subset
 
 Optimiser = Literal["adamw", "sgd"]
+#: What a metre of a joint's error weighs against the cross-entropy of the labels, and the share of its foretelling.
+_JOINT_WEIGHT, _SURPRISE = 4.0, 0.01
 #: Training windows on which the ranges of the 8-bit form are found.
 _CALIBRATION = 64
 #: Learning rate and weight decay of each, where none are given.
@@ -92,16 +94,33 @@ class ClassifierTraining:
         return WindowSource(self.network, self.data, subset, self.postures, self.seed)
 
 
-def evaluate_windows(network: Network, inputs: Tensor, labels: Tensor, device: str = "cpu") -> PixelAccuracy:
-    """Accuracy over windows (n, c, s, s) and labels (n, s, s) uint8, on the person's labelled pixels."""
+def evaluate_windows(
+    network: Network, inputs: Tensor, labels: Tensor, joints: Tensor, device: str = "cpu"
+) -> tuple[PixelAccuracy, float]:
+    """Accuracy over windows (n, c, s, s) and labels (n, s, s) uint8, on the person's labelled pixels; and the mean
+    error (metres) of the known joints (n, 18, 3), NaN of a network that does not tell them."""
     network.eval()
-    accuracy = PixelAccuracy()
+    accuracy, errors = PixelAccuracy(), []
     with torch.no_grad():
-        for x, y in zip(inputs.split(16), labels.split(16), strict=True):
+        for x, y, places in zip(inputs.split(16), labels.split(16), joints.split(16), strict=True):
             x, y = x.to(device).to(memory_format=torch.channels_last), y.to(device)
-            chosen, truth = masked_logits(network, x, y, (x[:, 1] > 0) & (y != UNLABELLED))
+            chosen, truth, found = masked_outputs(network, x, y, (x[:, 1] > 0) & (y != UNLABELLED))
             accuracy.add(truth.cpu().numpy(), chosen.argmax(1).cpu().numpy().astype(np.uint8))
-    return accuracy
+            if found is not None:
+                errors.append((found[..., :3].cpu() - places).norm(dim=-1))
+    return accuracy, float(torch.cat(errors).nanmean()) if errors else math.nan
+
+
+def joint_loss(found: Tensor, places: Tensor) -> Tensor:
+    """Mean distance (metres) of the known joints, and how well the expected errors foretell it: the likelihood under an
+    exponential distribution, which does not move the places."""
+    known = places.isfinite().all(-1)
+    if not known.any():
+        return found.sum() * 0
+    distance = (found[known][:, :3] - places[known]).norm(dim=-1)
+    expected = found[known][:, 3]
+    surprise = distance.detach() * torch.exp(-expected) + expected
+    return distance.mean() + _SURPRISE * surprise.mean()
 
 
 def _make_optimiser(network: Network, settings: ClassifierTraining) -> torch.optim.Optimizer:
@@ -125,7 +144,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     """Train, or go on training, and export; returns the ONNX file.
 
     The objective is the mean cross-entropy over the pixels whose label is known: ours learns from the masked ones, the
-    paper's network from all of the window.
+    paper's network from all of the window. Ours also learns where the joints are (:func:`joint_loss`).
 
     Raises:
         InputError: data, postures or weights that cannot be read, or a folder that holds another network's run.
@@ -160,7 +179,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
         done, spent, history = state["done"], state["spent"], json.loads(state["history"])
 
     data = settings.source.train(done)
-    valid_x, valid_y = settings.source.valid(settings.valid_images)
+    valid = settings.source.valid(settings.valid_images)
     loader = torch.utils.data.DataLoader(
         data, batch_sampler=Batches(settings.batch), num_workers=settings.workers,
         prefetch_factor=6 if settings.workers else None,
@@ -183,7 +202,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
         task = progress.add_task("training", total=1.0)
         progress.update(task, completed=_share(settings, done, spent))
         clock = time.monotonic()
-        for x, y in loader:
+        for x, y, places in loader:
             share = _share(settings, done, spent)
             if share >= 1:
                 break
@@ -197,12 +216,14 @@ def train_classifier(settings: ClassifierTraining) -> Path:
             y = y.to(settings.device)
             with torch.autocast(settings.device.split(":")[0], torch.bfloat16, enabled=settings.bfloat16):
                 known = y != UNLABELLED
-                chosen, truth = masked_logits(
+                chosen, truth, joints = masked_outputs(
                     network, x, y, known if network.learns_background else known & (x[:, 1] > 0)
                 )
-            loss = nn.functional.cross_entropy(chosen.float(), truth.long())
+            objective = loss = nn.functional.cross_entropy(chosen.float(), truth.long())
+            if joints is not None:
+                objective = loss + _JOINT_WEIGHT * joint_loss(joints, places.to(settings.device))
             optimiser.zero_grad()
-            loss.backward()
+            objective.backward()
             nn.utils.clip_grad_norm_(network.parameters(), 5.0)
             optimiser.step()
             average.update_parameters(network)
@@ -215,12 +236,14 @@ def train_classifier(settings: ClassifierTraining) -> Path:
             progress.update(task, completed=_share(settings, done, spent),
                             description=f"{done} images  loss {np.mean(running[-50:]):.3f}")  # fmt: skip
             if before // settings.valid_every != done // settings.valid_every:
-                accuracy = evaluate_windows(cast(Network, average.module), valid_x, valid_y, settings.device)
+                accuracy, joint_m = evaluate_windows(cast(Network, average.module), *valid, settings.device)
                 row = {
                     "step": done, "minutes": spent / 60, "loss": float(np.mean(running)),
                     "train_pixel_accuracy": float(np.mean(hits)),
                     "valid_pixel_accuracy": accuracy.pixel_accuracy, "valid_class_accuracy": accuracy.class_accuracy,
                 }  # fmt: skip
+                if not math.isnan(joint_m):
+                    row["valid_joint_cm"] = joint_m * 100
                 running, hits = [], []
                 history.append(row)
                 progress.console.print({k: round(v, 4) for k, v in row.items()})
@@ -250,7 +273,12 @@ def load_weights(network: nn.Module, path: Path) -> None:
 
     try:
         state = load_file(path)
-        network.load_state_dict({k: v.float() if v.is_floating_point() else v for k, v in state.items()})
+        state = {k: v.float() if v.is_floating_point() else v for k, v in state.items()}
+        if "head.weight" in state and not any(name.startswith("joint_votes") for name in state):
+            # Written before the network told joints.
+            own = network.state_dict().items()
+            state |= {name: value for name, value in own if name.startswith("joint_votes")}
+        network.load_state_dict(state)
     except (OSError, SafetensorError, RuntimeError) as error:
         raise InputError(f"{path} does not hold weights of this network: {str(error).splitlines()[0]}") from None
 

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from numpy import ndarray
 from torch import Tensor
 from torch.utils.data import Dataset, Sampler
 
 from depthmocap.body.regions import UNLABELLED
-from depthmocap.classify.data import Spoiling, training_window
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.classify.data import LabelledWindow, Spoiling, joint_places, training_window
 from depthmocap.classify.preprocess import WINDOW_MAKERS, NetworkName
 from depthmocap.errors import InputError
 from depthmocap.frames import View
@@ -22,8 +23,6 @@ from depthmocap.synth.motion.postures import TRAINING_VARIATION, posture_source
 from depthmocap.synth.sample import Recipe, Split, Subset
 from depthmocap.synth.sample import Sampler as SampleSampler
 
-#: A window's inputs (c, s, s) and its labels, 255 where they are not known.
-LabelledWindow = tuple[Float[ndarray, "c s s"], UInt8[ndarray, "s s"]]
 #: Validation draws from a seed of its own.
 _VALID_SEED = 1_000_003
 _ENDLESS = 1 << 40
@@ -57,9 +56,9 @@ class WindowSource:
             return _FolderWindows(self, "train", first)
         return _PaperWindows(self, "train", first) if self.network == "paper" else _SynthWindows(self, first)
 
-    def valid(self, count: int) -> tuple[Tensor, Tensor]:
-        """The fixed validation windows (n, c, s, s) and labels (n, s, s): of the postures of the valid split, from
-        another seed.
+    def valid(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
+        """The fixed validation windows (n, c, s, s), labels (n, s, s) and joints (n, 18, 3): of the postures of the
+        valid split, from another seed.
 
         Raises:
             InputError: postures or data that cannot be read.
@@ -75,16 +74,19 @@ class WindowSource:
             windows = [training_window(self.seed + _VALID_SEED, i, self.subset, postures, None) for i in range(count)]
         return tuple(torch.from_numpy(np.stack(each)) for each in zip(*windows, strict=True))  # pyright: ignore
 
-    def window(self, view: View) -> LabelledWindow | None:
-        """The window of a view with mask and labels; None where nobody is."""
+    def window(self, view: View, joints: Float[ndarray, "18 3"] | None) -> LabelledWindow | None:
+        """The window of a view with mask and labels; None where nobody is. Only our network learns the joints."""
         assert view.mask is not None and view.labels is not None
         window = WINDOW_MAKERS[self.network](view.depth_m, view.mask, view.camera)
         if window is None:
             return None
         labels = window.labels_from_image(view.labels, UNLABELLED)
+        places = np.full((len(JOINTS), 3), np.nan, np.float32)
         if self.network == "paper":  # which learns what is not the person, too
             labels[window.inputs[1] == 0] = 0
-        return window.inputs, labels
+        elif joints is not None:
+            places = joint_places(window, joints, view.camera)
+        return LabelledWindow(window.inputs, labels, places)
 
 
 class _SynthWindows(Dataset[LabelledWindow]):
@@ -114,7 +116,7 @@ class _PaperWindows(Dataset[LabelledWindow]):
 
     def __getitem__(self, index: int) -> LabelledWindow:
         (view,) = self.sampler(self.first + index).views
-        window = self.source.window(view)
+        window = self.source.window(view, None)
         assert window is not None  # the sampler draws again until somebody is seen
         return window
 
@@ -141,10 +143,11 @@ class _FolderWindows(Dataset[LabelledWindow]):
     def __getitem__(self, index: int) -> LabelledWindow:
         for attempt in range(100):  # a view may be missing or show nobody
             s, i, v = self.index[self.order[(self.first + index + 7919 * attempt) % len(self.order)]]
-            views = self.sections[s][i].views
+            frame = self.sections[s][i]
+            views = frame.views
             if v >= len(views) or views[v].mask is None or views[v].labels is None:
                 continue
-            window = self.source.window(views[v])
+            window = self.source.window(views[v], frame.true_joints)
             if window is not None:
                 return window
         raise InputError("100 views in a row hold no labelled person: is this a UBC3V root with labels?")

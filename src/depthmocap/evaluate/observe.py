@@ -19,7 +19,7 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet
 from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
-from depthmocap.pose.cloud import merge_views
+from depthmocap.pose.cloud import LabelledView, merge_views
 from depthmocap.pose.estimate import MIN_CLOUD_POINTS, JointEstimator
 from depthmocap.pose.parts import AREA, CENTRE, PROBABILITY, BodyFrame, body_frame, part_statistics
 
@@ -143,7 +143,7 @@ def _look(frame: AnnotatedFrame, up: str, estimator: JointEstimator, classifier:
     start = time.perf_counter()
     masks = [view.depth_m > 0 if view.mask is None else view.mask for view in frame.views]
     labelled = classifier.label_views(frame.views, masks)
-    cloud = merge_views([(view, *found) for view, found in zip(frame.views, labelled, strict=True)])
+    cloud = merge_views([LabelledView(view, *found) for view, found in zip(frame.views, labelled, strict=True)])
     joints, confidence = estimator(cloud, up)
     spent_ms = (time.perf_counter() - start) * 1e3
     row = {

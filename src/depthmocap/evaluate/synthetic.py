@@ -22,19 +22,17 @@ from depthmocap.pose.cloud import Labels as Labels
 from depthmocap.pose.estimate import JointEstimator
 
 
-def _network_labels(
-    classifier: Classifier, views: list[View], accuracy: PixelAccuracy
-) -> Iterator[tuple[View, ndarray, ndarray]]:
+def _network_labels(classifier: Classifier, views: list[View], accuracy: PixelAccuracy) -> Iterator[LabelledView]:
     """Views with the network's labels and probabilities; counts its labels in the windows on the way."""
     masks = [view.depth_m > 0 if view.mask is None else view.mask for view in views]
     for view, mask, found in zip(views, masks, classifier.label_masks(views, masks), strict=True):
-        yield view, found.labels, found.confidence
-        if found.window is None or view.labels is None:
+        yield LabelledView(view, *found.found)
+        if found.window is None or found.in_window is None or view.labels is None:
             continue
         truth = found.window.labels_from_image(view.labels, UNLABELLED)
         # All of the person counts, also what the window leaves out as stray: it goes without a label, which is wrong.
         inside = found.window.labels_from_image((mask & (view.depth_m > 0)).astype(np.uint8)) > 0
-        accuracy.add(truth[inside], found.window_labels[inside])
+        accuracy.add(truth[inside], found.in_window.labels[inside])
 
 
 def measure(
@@ -62,7 +60,7 @@ def measure(
         start = time.perf_counter()
         parts: list[LabelledView]
         if classifier is None:
-            parts = [(view, view.labels, None) for view in seen if view.labels is not None]
+            parts = [LabelledView(view, view.labels) for view in seen if view.labels is not None]
         else:
             parts = list(_network_labels(classifier, seen, window_accuracy))
         labelled_ms = (time.perf_counter() - start) * 1e3
@@ -73,7 +71,7 @@ def measure(
             estimates.append(joints)
             confidences.append(confidence)
             truths.append(frame.true_joints)
-        for view, labels, _ in parts:
+        for view, labels, _, _ in parts:
             if view.labels is not None and view.mask is not None:
                 image_accuracy.add(view.labels[view.mask], labels[view.mask])
     if not estimates:

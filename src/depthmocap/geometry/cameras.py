@@ -60,6 +60,12 @@ class DepthCamera:
             return np.where((off < 1.0)[..., None], rays, np.nan).astype(np.float32)
         return np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy], -1).astype(np.float32)
 
+    def rays_through(self, pixels: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
+        """x/z and y/z of the rays through any places (u, v) of the picture, lens distortion removed."""
+        if any(self.distortion) and len(pixels):
+            return cv2.undistortPoints(pixels[:, None], self.matrix, np.array(self.distortion))[:, 0]
+        return (pixels - [self.cx, self.cy]) / [self.fx, self.fy]
+
     def unproject(
         self, depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"] | None = None
     ) -> Float[ndarray, "n 3"]:

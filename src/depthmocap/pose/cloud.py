@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
@@ -20,8 +20,16 @@ from depthmocap.kernels.cloud import count_labelled, unproject_labelled
 Labels = Literal["network", "true"]
 LABELS: tuple[Labels, ...] = ("network", "true")
 
-#: A view, its labels per pixel, and the probabilities of those labels (None: the labels are true).
-LabelledView = tuple[View, UInt8[ndarray, "_ _"], Float[ndarray, "_ _"] | None]
+
+class LabelledView(NamedTuple):
+    """A view, its labels per pixel, the probabilities of those labels (None: the labels are true), and where the
+    network takes the joints to be in the world, with the error to expect (metres; None or NaN: it does not tell)."""
+
+    view: View
+    labels: UInt8[ndarray, "_ _"]
+    weights: Float[ndarray, "_ _"] | None = None
+    joints: Float[ndarray, "18 4"] | None = None
+
 
 _NO_RAYS = np.empty((0, 0, 2), np.float32)
 _NO_WEIGHTS = np.empty((0, 0), np.float32)
@@ -32,7 +40,8 @@ class LabelledCloud:
     """World points (metres) with their regions 1–43 and the probability of each label, 1 for true labels.
 
     Points of a camera are together: first ``view_sizes[0]`` of ``cameras[0]``, and so on. A cloud made of points alone
-    has no cameras, which the paper's features do not ask for.
+    has no cameras, which the paper's features do not ask for. ``joints`` are each view's own guesses, see
+    ``LabelledView``; NaN where it has none.
     """
 
     points_world: Float32[ndarray, "n 3"]
@@ -40,6 +49,7 @@ class LabelledCloud:
     weights: Float32[ndarray, "n"]
     view_sizes: tuple[int, ...] = ()
     cameras: tuple[DepthCamera, ...] = ()
+    joints: tuple[Float[ndarray, "18 4"] | None, ...] = ()
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -55,7 +65,7 @@ def merge_views(parts: Sequence[LabelledView]) -> LabelledCloud:
         InputError: when the depth, labels, weights or (for a lens with distortion) camera of a view differ in shape.
     """
     images = []
-    for view, labels, weights in parts:
+    for view, labels, weights, _ in parts:
         camera, shape = view.camera, view.depth_m.shape
         if labels.shape != shape or (weights is not None and weights.shape != shape):
             given = "" if weights is None else f" and weights {weights.shape}"
@@ -87,5 +97,5 @@ def merge_views(parts: Sequence[LabelledView]) -> LabelledCloud:
             depth, labels, weights, rays, intrinsics, pose, REGION_COUNT, row, points_world, all_labels, all_weights
         )
         sizes.append(row - start)
-    cameras = tuple(view.camera for view, _, _ in parts)
-    return LabelledCloud(points_world, all_labels, all_weights, tuple(sizes), cameras)
+    cameras, joints = tuple(part.view.camera for part in parts), tuple(part.joints for part in parts)
+    return LabelledCloud(points_world, all_labels, all_weights, tuple(sizes), cameras, joints)

@@ -18,13 +18,12 @@ from numpy import ndarray
 from rich.console import Console
 from rich.progress import Progress
 
-from depthmocap.body.regions import REGION_COUNT
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.pose.cloud import LABELS, LabelledView, Labels, merge_views
 from depthmocap.pose.features import FEATURE_COUNT, cloud_features
-from depthmocap.pose.parts import PART_COLUMNS, part_statistics
+from depthmocap.pose.parts import PART_COLUMNS, PART_COUNT, part_statistics
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.output.stream import stream
 from depthmocap.synth.sample import ANY_SENSOR, CameraRange, Recipe, Sample
@@ -70,7 +69,7 @@ class Collected:
     nothing), joints in the world and the groups (clips) of the postures; ``features`` are the paper's, their joints
     in the features' frame and their groups by kind of labels and number of cameras."""
 
-    parts: dict[Labels, Float32[ndarray, "n views 43 16"]]
+    parts: dict[Labels, Float32[ndarray, "n views 61 16"]]
     joints: Float[ndarray, "n 18 3"]
     groups: Int[ndarray, "n"]
     features: dict[tuple[Labels, int], tuple[ndarray, ndarray, ndarray]]
@@ -147,12 +146,12 @@ def label_sample(views: tuple[View, ...], classifier: Classifier | None) -> list
     if classifier is not None:
         masks = [view.mask if view.mask is not None else view.depth_m > 0 for view in views]
         found = classifier.label_views(views, masks)
-        return [(view, each, weights) for view, (each, weights) in zip(views, found, strict=True)]
+        return [LabelledView(view, *each) for view, each in zip(views, found, strict=True)]
     parts: list[LabelledView] = []
     for view in views:
         if view.labels is None:
             return None
-        parts.append((view, view.labels, None))
+        parts.append(LabelledView(view, view.labels))
     return parts
 
 
@@ -163,7 +162,7 @@ def _measure(
     chosen = {count: _choices(len(sample.views), count, rng) for count in settings.views}
     for labels in LABELS:
         views = label_sample(sample.views, classifier if labels == "network" else None)
-        parts = np.zeros((max(settings.views), REGION_COUNT, PART_COLUMNS), np.float32)
+        parts = np.zeros((max(settings.views), PART_COUNT, PART_COLUMNS), np.float32)
         if views is not None:
             seen = part_statistics(merge_views(views))[: len(parts)]
             parts[: len(seen)] = seen

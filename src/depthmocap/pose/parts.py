@@ -1,4 +1,7 @@
-"""What each camera saw of each body region, in few numbers; and the frame of the body they are put into.
+"""What each camera saw of each part of the body, in few numbers; and the frame of the body they are put into.
+
+Parts are the 43 regions, and behind them the 18 joints, of which a camera's part is where the network takes the joint
+to be from what that camera saw.
 
 Unlike the paper's statistics (``features``) these turn with the points: a person who turns gives the same numbers in
 the frame of their own body, and a sample can be turned, mirrored or seen by fewer cameras without its points.
@@ -13,15 +16,19 @@ from jaxtyping import Bool, Float, Float32
 from numpy import ndarray
 
 from depthmocap.body.regions import MIRROR, REGION, REGION_COUNT, REGION_NAMES
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.body.skeleton import MIRROR as MIRRORED_JOINTS
 from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
 from depthmocap.kernels.parts import part_moments
 from depthmocap.pose.cloud import LabelledCloud
 
 #: Columns of what a camera saw of a region: points, area seen (m²), mean label probability, share of it near the
-#: centre, centre (3, m), covariance (xx, xy, xz, yy, yz, zz, m²), direction to the camera (3).
+#: centre, centre (3, m), covariance (xx, xy, xz, yy, yz, zz, m²), direction to the camera (3). Of a joint: 1, 0, the
+#: share of expected errors that are larger, 0, place, covariance of the expected error, direction to the camera.
 COUNT, AREA, PROBABILITY, NEAR, CENTRE, COVARIANCE, TOWARDS = 0, 1, 2, 3, slice(4, 7), slice(7, 13), slice(13, 16)
 PART_COLUMNS = 16
+PART_COUNT = REGION_COUNT + len(JOINTS)
 #: Regions of a view with fewer points are taken as unseen.
 MIN_POINTS = 6
 #: Points this far from their region's centre count a quarter (metres): half a thigh.
@@ -42,8 +49,10 @@ _LEFT = _regions(*(f"{name} L" for name in _TORSO))
 _FRONT = _regions(*(f"{name} {side}" for name in ("chest", "belly", "collar", "shoulder front") for side in "RL"))
 _BACK = _regions(*(f"{name} {side}" for name in ("upper back", "lower back", "shoulder back") for side in "RL"))
 #: ``parts[..., MIRRORED, :]`` exchanges the sides.
-MIRRORED = MIRROR[1:].astype(np.int64) - 1
+MIRRORED = np.concatenate([MIRROR[1:].astype(np.int64) - 1, REGION_COUNT + MIRRORED_JOINTS])
 assert len(REGION_NAMES) == REGION_COUNT + 1
+#: A joint with this error to expect has a probability of a half (metres).
+_TYPICAL_ERROR_M = 0.1
 #: A pair of regions of both sides is about so far apart (metres), to weigh it against what one side alone tells.
 _PAIR_M = 0.2
 
@@ -65,8 +74,8 @@ class BodyFrame:
         return points @ self.turn + self.origin[..., None, :]
 
 
-def part_statistics(cloud: LabelledCloud, up: str = "z") -> Float32[ndarray, "views 43 16"]:
-    """What each camera saw of each region, in the world turned Z-up; rows of unseen regions are 0.
+def part_statistics(cloud: LabelledCloud, up: str = "z") -> Float32[ndarray, "views 61 16"]:
+    """What each camera saw of each part, in the world turned Z-up; rows of unseen parts are 0.
 
     Raises:
         InputError: for another ``up``, a cloud that does not know its cameras, a label outside 1–43 or a point that is
@@ -82,9 +91,12 @@ def part_statistics(cloud: LabelledCloud, up: str = "z") -> Float32[ndarray, "vi
         cloud.labels.min() >= 1 and cloud.labels.max() <= REGION_COUNT and np.isfinite(cloud.points_world.sum())
     ):
         raise InputError(f"points have a label outside 1–{REGION_COUNT} or are not finite")
-    parts = np.zeros((len(cloud.cameras), REGION_COUNT, PART_COLUMNS), np.float32)
+    parts = np.zeros((len(cloud.cameras), PART_COUNT, PART_COLUMNS), np.float32)
+    for out, joints, camera in zip(parts, cloud.joints, cloud.cameras, strict=False):
+        if joints is not None and np.isfinite(joints).all():
+            out[REGION_COUNT:] = _joint_rows(joints, rotation, rotation @ camera.world_from_camera[:3, 3])
     end = 0
-    for out, size, camera in zip(parts, cloud.view_sizes, cloud.cameras, strict=True):
+    for out, size, camera in zip(parts[:, :REGION_COUNT], cloud.view_sizes, cloud.cameras, strict=True):
         start, end = end, end + size
         moments = part_moments(
             cloud.points_world[start:end], cloud.labels[start:end], cloud.weights[start:end], rotation, REGION_COUNT,
@@ -109,18 +121,33 @@ def part_statistics(cloud: LabelledCloud, up: str = "z") -> Float32[ndarray, "vi
     return parts
 
 
-def seen_parts(parts: Float32[ndarray, "*n 43 16"]) -> Bool[ndarray, "*n 43"]:
-    """Where a camera saw a region."""
+def _joint_rows(
+    joints: Float[ndarray, "18 4"], rotation: Float[ndarray, "3 3"], eye: Float[ndarray, "3"]
+) -> Float[ndarray, "18 16"]:
+    centre, expected_m = joints[:, :3] @ rotation.T, joints[:, 3]
+    towards = eye - centre
+    rows = np.zeros((len(joints), PART_COLUMNS))
+    rows[:, COUNT] = 1
+    rows[:, PROBABILITY] = 1 / (1 + expected_m / _TYPICAL_ERROR_M)
+    rows[:, CENTRE] = centre
+    rows[:, COVARIANCE] = expected_m[:, None] ** 2 * [1, 0, 0, 1, 0, 1]
+    rows[:, TOWARDS] = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+    return rows
+
+
+def seen_parts(parts: Float32[ndarray, "*n 61 16"]) -> Bool[ndarray, "*n 61"]:
+    """Where a camera saw a part."""
     return parts[..., COUNT] > 0
 
 
-def body_frame(parts: Float32[ndarray, "*n views 43 16"]) -> BodyFrame:
+def body_frame(parts: Float32[ndarray, "*n views 61 16"]) -> BodyFrame:
     """The body's frame, from the trunk as far as it was seen.
 
     Its middle weighs the centres by area and probability. It faces where three hints point together: from the right
     regions to the left ones, from the cameras that see the back to those that see the front, and from those that see
     the right to those that see the left. Where nothing tells, it faces along the world's x.
     """
+    parts = parts[..., :REGION_COUNT, :]
     weights = (parts[..., AREA] * parts[..., PROBABILITY]).astype(np.float64)
     trunk = np.zeros(REGION_COUNT)
     trunk[np.concatenate([_LEFT, _RIGHT])] = 1
@@ -153,8 +180,8 @@ def yaw_matrix(cosine: Float[ndarray, "*n"] | float, sine: Float[ndarray, "*n"] 
 
 
 def moved(
-    parts: Float32[ndarray, "*n 43 16"], turn: Float[ndarray, "*n 3 3"], shift: Float[ndarray, "*n 3"]
-) -> Float32[ndarray, "*n 43 16"]:
+    parts: Float32[ndarray, "*n 61 16"], turn: Float[ndarray, "*n 3 3"], shift: Float[ndarray, "*n 3"]
+) -> Float32[ndarray, "*n 61 16"]:
     """Parts of points that are turned about the origin, then shifted; unseen rows stay 0."""
     out = parts.copy()
     back = np.swapaxes(turn, -1, -2).astype(np.float32)
@@ -168,8 +195,8 @@ def moved(
 
 
 def network_inputs(
-    parts: Float32[ndarray, "*n views 43 16"], frame: BodyFrame
-) -> tuple[Float32[ndarray, "*n views 43 16"], Bool[ndarray, "*n views 43"]]:
+    parts: Float32[ndarray, "*n views 61 16"], frame: BodyFrame
+) -> tuple[Float32[ndarray, "*n views 61 16"], Bool[ndarray, "*n views 61"]]:
     """Parts in the body's frame with columns of about unit size, and which were seen."""
     turn = np.broadcast_to(frame.turn[..., None, :, :], (*parts.shape[:-2], 3, 3))
     shift = -np.einsum("...ij,...j->...i", frame.turn, frame.origin)

@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
 
 class VotesEstimator:
-    """Every region that a camera sees votes for every joint, in a frame that turns with the body; a network tells the
-    votes and their weights from what all cameras see. Any number of cameras, anywhere.
+    """Every region that a camera sees, and every joint that it guesses, votes for every joint, in a frame that turns
+    with the body; a network tells the votes and their weights from what all cameras see. Any number of cameras,
+    anywhere.
 
     The confidence of a joint is the probability that it is within 10 cm of the truth, as samples kept out of the
     training had it.
@@ -79,8 +80,10 @@ def voting_session(source: Path) -> onnxruntime.InferenceSession:
 
 
 def run_votes(
-    session: onnxruntime.InferenceSession, inputs: Float32[ndarray, "n views 43 16"]
+    session: onnxruntime.InferenceSession, inputs: Float32[ndarray, "n views 61 16"]
 ) -> tuple[Float64[ndarray, "n 18 3"], Float64[ndarray, "n 18"]]:
-    """Joints in the body's frame and their confidence, from what ``parts.network_inputs`` gives."""
-    joints, sure = (np.asarray(each, np.float64) for each in session.run(None, {"parts": inputs}))
+    """Joints in the body's frame and their confidence, from what ``parts.network_inputs`` gives; networks made before
+    cameras told joints read the regions alone."""
+    known = session.get_inputs()[0].shape[2]
+    joints, sure = (np.asarray(each, np.float64) for each in session.run(None, {"parts": inputs[:, :, :known]}))
     return joints, 1 / (1 + np.exp(-sure))

@@ -1,4 +1,4 @@
-"""The network by which regions vote for joints (extra: train). Inference runs its ONNX form, see ``votes``."""
+"""The network by which parts vote for joints (extra: train). Inference runs its ONNX form, see ``votes``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from depthmocap.body.regions import REGION_COUNT
 from depthmocap.body.skeleton import JOINTS
-from depthmocap.pose.parts import CENTRE, COUNT, PART_COLUMNS
+from depthmocap.pose.parts import CENTRE, COUNT, PART_COLUMNS, PART_COUNT
 
 _HIDDEN = -1e9
 #: Votes are told in units of so many metres.
@@ -35,8 +35,8 @@ class _Block(nn.Module):
 class VotesNet(nn.Module):
     """What cameras saw of regions to joints, all in the body's frame.
 
-    What several cameras saw of a region is weighed into one token. The tokens of the regions and one of each joint look
-    at each other; then every seen region votes for every joint, as an offset from its centre, and each joint weighs
+    What several cameras saw of a part is weighed into one token. The tokens of the parts and one of each joint look
+    at each other; then every seen part votes for every joint, as an offset from its centre, and each joint weighs
     the votes. Both have a part that is always the same, set from the samples' means (:meth:`start_from`), so that the
     rest has only the differences to learn. A joint has one vote of its own, relative to the frame, for when little was
     seen. The order of the cameras makes no difference.
@@ -47,11 +47,11 @@ class VotesNet(nn.Module):
     def __init__(self, width: int = 128, layers: int = 3, heads: int = 4) -> None:
         super().__init__()
         self.sizes = (width, layers, heads)
-        self.look = nn.Linear(PART_COLUMNS, width)
-        self.region = nn.Parameter(torch.randn(REGION_COUNT, width) * 0.1)
+        self.look, self.look_at_joints = nn.Linear(PART_COLUMNS, width), nn.Linear(PART_COLUMNS, width)
+        self.region = nn.Parameter(torch.randn(PART_COUNT, width) * 0.1)
         self.view = nn.Sequential(nn.GELU(), nn.Linear(width, width))
         self.trust = nn.Sequential(nn.GELU(), nn.Linear(width, 1))
-        self.unseen = nn.Parameter(torch.randn(REGION_COUNT, width) * 0.1)
+        self.unseen = nn.Parameter(torch.randn(PART_COUNT, width) * 0.1)
         self.joint = nn.Parameter(torch.randn(len(JOINTS), width) * 0.1)
         self.blocks = nn.ModuleList(_Block(width, heads) for _ in range(layers))
         self.last = nn.LayerNorm(width)
@@ -59,13 +59,13 @@ class VotesNet(nn.Module):
         self.ask, self.answer = nn.Linear(width, width), nn.Linear(width, width)
         self.own = nn.Linear(width, 4)
         self.sure = nn.Linear(width, 1)
-        self.usual_offsets = nn.Parameter(torch.zeros(REGION_COUNT, len(JOINTS), 3))
-        self.usual_weights = nn.Parameter(torch.zeros(len(JOINTS), REGION_COUNT))
+        self.usual_offsets = nn.Parameter(torch.zeros(PART_COUNT, len(JOINTS), 3))
+        self.usual_weights = nn.Parameter(torch.zeros(len(JOINTS), PART_COUNT))
         self.usual_place = nn.Parameter(torch.zeros(len(JOINTS), 3))
 
     def start_from(self, offsets: Tensor, variances: Tensor, places: Tensor) -> None:
-        """Start as the best voter that knows nothing but means: offsets (43, 18, 3) of joints from regions, their
-        variances (43, 18), whose inverses are the weights, and the joints' mean places (18, 3), all in metres."""
+        """Start as the best voter that knows nothing but means: offsets (61, 18, 3) of joints from parts, their
+        variances (61, 18), whose inverses are the weights, and the joints' mean places (18, 3), all in metres."""
         with torch.no_grad():
             self.usual_offsets.copy_(offsets)
             self.usual_weights.copy_(-variances.clamp(min=1e-4).log().T)
@@ -75,9 +75,10 @@ class VotesNet(nn.Module):
                 layer.bias.zero_()
 
     def forward(self, parts: Tensor) -> tuple[Tensor, Tensor]:
-        # parts: (n, views, 43, 16), see parts.network_inputs; unseen rows are 0.
+        # parts: (n, views, 61, 16), see parts.network_inputs; unseen rows are 0.
         hidden = (parts[..., COUNT] == 0).unsqueeze(-1)
-        looked = self.look(parts) + self.region
+        regions, joints = parts.split([REGION_COUNT, len(JOINTS)], 2)
+        looked = torch.cat([self.look(regions), self.look_at_joints(joints)], 2) + self.region
         weights = torch.softmax(self.trust(looked).masked_fill(hidden, _HIDDEN), 1)
         centre = (weights * parts[..., CENTRE]).sum(1)
         nobody = hidden.all(1)
@@ -85,7 +86,7 @@ class VotesNet(nn.Module):
         x = torch.cat([tokens, self.joint.expand(parts.shape[0], -1, -1)], 1)
         for block in self.blocks:
             x = block(x)
-        regions, joints = self.last(x).split([REGION_COUNT, len(JOINTS)], 1)
+        regions, joints = self.last(x).split([PART_COUNT, len(JOINTS)], 1)
         offsets = self.usual_offsets + self.offsets(regions).unflatten(-1, (len(JOINTS), 3)) * _UNIT_M
         votes = centre.unsqueeze(2) + offsets
         heard = self.usual_weights + self.ask(joints) @ self.answer(regions).transpose(1, 2) * self.sizes[0] ** -0.5

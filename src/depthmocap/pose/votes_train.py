@@ -20,6 +20,7 @@ from safetensors.torch import save_file
 from torch import nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
+from depthmocap.body.regions import REGION_COUNT
 from depthmocap.body.skeleton import MIRROR as MIRRORED_JOINTS
 from depthmocap.classify.train import load_weights
 from depthmocap.errors import InputError
@@ -29,6 +30,8 @@ from depthmocap.pose.parts import (
     CENTRE,
     COVARIANCE,
     MIRRORED,
+    PART_COLUMNS,
+    PART_COUNT,
     TOWARDS,
     BodyFrame,
     body_frame,
@@ -46,6 +49,8 @@ _BATCH = 64
 _AVERAGE, _AVERAGE_AFTER = 0.998, 1000
 #: Share of samples that learn from true labels, so that one network serves both.
 _TRUE_LABELS = 0.15
+#: Share of the others whose cameras tell no joints.
+_NO_JOINTS = 0.08
 #: Share of samples in which cameras stand a little elsewhere than they say.
 _MISPLACED = 0.5
 #: One in so many groups of postures is kept out, to tell how the training goes.
@@ -70,8 +75,8 @@ class VotesTraining:
 
 
 def augment(
-    rng: np.random.Generator, parts: Float32[ndarray, "n v 43 16"], joints: Float[ndarray, "n 18 3"]
-) -> tuple[Float32[ndarray, "n v 43 16"], Float[ndarray, "n 18 3"]]:
+    rng: np.random.Generator, parts: Float32[ndarray, "n v 61 16"], joints: Float[ndarray, "n 18 3"]
+) -> tuple[Float32[ndarray, "n v 61 16"], Float[ndarray, "n 18 3"]]:
     """The same samples mirrored, seen by fewer cameras, by misplaced ones, with regions missing. Samples keep at least
     one camera that sees something."""
     n, views = parts.shape[:2]
@@ -86,6 +91,8 @@ def augment(
     order = np.where(sees, rng.random((n, views)), 2).argsort(1)
     keep = 1 + (rng.random(n) * sees.sum(1).clip(1)).astype(np.int64)
     dropped = order.argsort(1) >= keep[:, None]
+    # Some classifiers, and true labels, tell no joints.
+    parts[rng.random(n) < _NO_JOINTS, :, REGION_COUNT:] = 0
     missing = rng.random(parts.shape[:3]) < rng.choice([0.0, 0.0, 0.05, 0.15], (n, 1, 1))
     parts[dropped[:, :, None] | missing] = 0
 
@@ -218,16 +225,17 @@ def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Pat
 
 
 def export_votes(network: nn.Module, path: Path) -> Path:
-    """Write the network as ONNX: input ``parts`` (n, views, 43, 16), outputs ``joints`` and ``sure``."""
+    """Write the network as ONNX: input ``parts`` (n, views, 61, 16), outputs ``joints`` and ``sure``."""
     import onnx
 
     from depthmocap.classify.export import store_half
 
     network = copy.deepcopy(network).eval()
+    example = torch.zeros(2, 3, PART_COUNT, PART_COLUMNS)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
-            network, (torch.zeros(2, 3, 43, 16),), input_names=["parts"], output_names=["joints", "sure"],
+            network, (example,), input_names=["parts"], output_names=["joints", "sure"],
             dynamo=True, verbose=False,
             dynamic_shapes={"parts": {0: torch.export.Dim("n", min=1), 1: torch.export.Dim("views", min=1)}},
         )  # fmt: skip
