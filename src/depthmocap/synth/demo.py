@@ -20,7 +20,8 @@ from depthmocap.body.model import BodyModel, Phenotype
 from depthmocap.capture.recording import RecordingWriter
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import DepthCamera, Rig, look_at
-from depthmocap.synth.motion.sequence import DEMO_SECONDS, demo_motion, pose_sequence
+from depthmocap.synth.motion.perform import pose_sequence
+from depthmocap.synth.motion.sequence import DEMO_SECONDS, demo_motion
 from depthmocap.synth.people.garments import DressedBody, clothe
 from depthmocap.synth.people.wardrobe import ORDINARY_CLOTHES
 from depthmocap.synth.render import Material, render_person

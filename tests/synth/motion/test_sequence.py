@@ -15,7 +15,8 @@ from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, look_at
 from depthmocap.synth.demo import LEARNT_CAMERA, ROOM, demo_body, demo_frames, demo_rig, write_demo
 from depthmocap.synth.motion import sequence
-from depthmocap.synth.motion.sequence import DEMO_SECONDS, Motion, demo_motion, pose_sequence
+from depthmocap.synth.motion.perform import Motion, pose_sequence
+from depthmocap.synth.motion.sequence import DEMO_SECONDS, demo_motion
 from depthmocap.synth.people.garments import DressedBody
 from depthmocap.synth.render import PosedPerson
 from depthmocap.synth.scenes.room import Box, Room, render_room, shelf, table
@@ -117,7 +118,7 @@ def test_left_and_right_are_treated_alike(body: DressedBody, monkeypatch: pytest
         for name, keys in sequence._SCORE.items()
     }
     steps = [
-        sequence._Step(other[s.side], s.start_s, s.end_s, (-s.place[0], s.place[1]), -s.yaw_deg, s.detour, s.toes_deg,
+        sequence.Step(other[s.side], s.start_s, s.end_s, (-s.place[0], s.place[1]), -s.yaw_deg, s.detour, s.toes_deg,
                        s.weight)
         for s in sequence._demo_steps()
     ]  # fmt: skip

@@ -19,7 +19,8 @@ from depthmocap.errors import InputError
 from depthmocap.export.output import writing
 from depthmocap.geometry.transforms import look_at
 from depthmocap.settings import check_seed
-from depthmocap.synth.motion.sequence import demo_motion, pose_sequence
+from depthmocap.synth.motion.perform import pose_sequence
+from depthmocap.synth.motion.sequence import demo_motion
 from depthmocap.synth.people.bodies import ONE_CHARACTER, ORDINARY_CLOTHES, clothe
 from depthmocap.synth.render import PosedPerson, render_person
 from depthmocap.synth.scenes.room import Box, Room, render_room
