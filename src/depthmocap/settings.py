@@ -10,8 +10,14 @@ from depthmocap.errors import InputError
 
 
 def plain_settings(settings: Any) -> dict[str, Any]:
-    """The fields of a settings dataclass as JSON can hold them: paths become strings."""
-    return {k: str(v) if isinstance(v, Path) else v for k, v in dataclasses.asdict(settings).items()}
+    """The fields of a settings dataclass, and of those in it, as JSON can hold them: paths become strings."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: plain(each) for name, each in value.items()}
+        return str(value) if isinstance(value, Path) else value
+
+    return plain(dataclasses.asdict(settings))
 
 
 def check_seed(seed: int) -> None:
