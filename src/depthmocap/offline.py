@@ -29,7 +29,7 @@ from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.offline_report import Pictures, write_run_report
 from depthmocap.pipeline import STAGES, Pipeline, Result
 from depthmocap.pose.estimate import load_estimator
-from depthmocap.pose.track import AUTO, Smoothing, load_filter
+from depthmocap.pose.track import AUTO, Bones, Smoothing, load_filter
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,6 +45,8 @@ class RunSettings:
             each other.
         lag_frames: that "fixed-lag" waits for.
         bridge_s: how long "kalman" and "fixed-lag" go on with a joint that is missing (s); 0 leaves gaps.
+        bones: "steady" gives bones constant lengths, learnt on the run; "free" leaves them as estimated, as does
+            "none" for --smooth.
         weights: a classifier.onnx of your own.
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
         report: draw report.html and the animated preview.
@@ -56,6 +58,7 @@ class RunSettings:
     smooth: Smoothing = "auto"
     lag_frames: int = 4
     bridge_s: float = 0.0
+    bones: Bones = "steady"
     weights: Path | None = None
     estimator: str = "votes"
     report: bool = True
@@ -84,6 +87,7 @@ def load_pipeline(
     *,
     lag_frames: int = 4,
     bridge_s: float = 0.0,
+    bones: Bones = "steady",
 ) -> Pipeline:
     """The pipeline for a source, its background learnt, with the packaged weights or your own (see RunSettings).
 
@@ -95,7 +99,7 @@ def load_pipeline(
         from depthmocap.datasets.ubc3v import Section
 
         smooth = "none" if isinstance(source, Section) else AUTO
-    smoothing = None if smooth == "none" else load_filter(smooth, lag_frames, bridge_s)
+    smoothing = None if smooth == "none" else load_filter(smooth, lag_frames, bridge_s, bones)
     return Pipeline(
         Classifier(weights),
         load_estimator(estimator),
@@ -120,7 +124,7 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     with console.status("reading the background and the weights"):
         pipeline = load_pipeline(
             source, settings.segment, settings.smooth, settings.weights, settings.estimator,
-            lag_frames=settings.lag_frames, bridge_s=settings.bridge_s,
+            lag_frames=settings.lag_frames, bridge_s=settings.bridge_s, bones=settings.bones,
         )  # fmt: skip
         # The first frame ever compiles the inner loops, which would be taken for the machine's speed.
         for frames in source:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import time
 from collections.abc import Callable, Sequence
@@ -26,13 +27,13 @@ from depthmocap.frames import Pose
 from depthmocap.pose.estimate import load_estimator
 from depthmocap.pose.filter import PoseFilter
 from depthmocap.pose.sides import LIMBS, limb_joints
-from depthmocap.pose.track import FILTERS, load_filter
+from depthmocap.pose.track import BONES_CHOICES, FILTERS, load_filter
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.sample import Split
 from depthmocap.synth.sensing.sensors import find_sensor
 
 #: Settings that the estimates do not depend on, or that only tell how many there are.
-_NOT_BINDING = ("out", "sequences", "sides_wrong", "lag_frames", "json")
+_NOT_BINDING = ("out", "sequences", "sides_wrong", "out_of_step_ms", "lag_frames", "json")
 #: Columns of the table: field, heading, digits.
 _COLUMNS = (
     ("mean_joint_error_cm", "error cm", 2),
@@ -62,6 +63,8 @@ class MotionEvaluation:
         views: cameras; the numbers are of 1, and of all of them.
         sensors: each camera is one of these.
         sides_wrong: a fault: share (0–1) of frames whose legs or arms or both are given the wrong sides.
+        out_of_step_ms: a fault: every camera looks up to so long before or after the others; the sequences are measured
+            once more like this, and the growth of the error is told.
         lag_frames: that the fixed-lag smoother waits for.
         weights: a classifier.onnx of your own.
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
@@ -77,6 +80,7 @@ class MotionEvaluation:
     sensors: tuple[str, ...] = ("kinect2", "azure-nfov-binned")
     seed: int = 0
     sides_wrong: float = 0.0
+    out_of_step_ms: float = 0.0
     lag_frames: int = 4
     weights: Path | None = None
     estimator: str = "votes"
@@ -88,6 +92,10 @@ class MotionEvaluation:
             raise InputError("--sequences, --views and --sensors take at least 1, --seconds 1 to 60")
         if not 0 <= self.sides_wrong < 1:
             raise InputError(f"--sides-wrong must be at least 0 and below 1, got {self.sides_wrong}")
+        if not 0 <= self.out_of_step_ms <= 1e3 / FPS or (self.out_of_step_ms and self.views < 2):
+            raise InputError(
+                f"--out-of-step-ms takes 0 to {1e3 / FPS:.0f}, a frame, of 2 or more --views; got {self.out_of_step_ms}"
+            )
 
 
 def evaluate_motion(settings: MotionEvaluation, console: Console | None = None) -> dict[str, Any]:
@@ -104,27 +112,47 @@ def evaluate_motion(settings: MotionEvaluation, console: Console | None = None) 
         "frames": sum(len(track.truth) for track in tracks),
     }
     for views in sorted({1, settings.views}):
-        poses = [
-            _wrong_sides(track.poses(views), settings.sides_wrong, np.random.default_rng([settings.seed, 2, i]))
-            for i, track in enumerate(tracks)
-        ]
-        truths = [track.truth for track in tracks]
-        rows = {"none": _measure(lambda: None, poses, truths)}
-        for name in FILTERS:
-            rows[name] = _measure(lambda name=name: load_filter(name, settings.lag_frames), poses, truths)
-        numbers[f"views {views}"] = rows
-        console.print(_table(f"{numbers['frames']} frames, {views} view{'s' * (views > 1)}", rows))
+        numbers[f"views {views}"] = _all_filters(tracks, views, settings, "", console)
+    if settings.out_of_step_ms:
+        title = f"out of step by up to {settings.out_of_step_ms:g} ms"
+        off = make_tracks(settings, console, settings.out_of_step_ms)
+        rows = numbers["out of step"] = _all_filters(off, settings.views, settings, f", {title}", console)
+        numbers["out of step, growth"] = growth = {
+            name: row["mean_joint_error_cm"] / numbers[f"views {settings.views}"][name]["mean_joint_error_cm"] - 1
+            for name, row in rows.items()
+        }
+        console.print(f"error {title}: " + ", ".join(f"{name} {share:+.1%}" for name, share in growth.items()))
     if settings.json is not None:
         settings.json.parent.mkdir(parents=True, exist_ok=True)
         settings.json.write_text(json.dumps(numbers, indent=1) + "\n")
     return numbers
 
 
-def make_tracks(settings: MotionEvaluation, console: Console) -> list[Track]:
+def _all_filters(
+    tracks: Sequence[Track], views: int, settings: MotionEvaluation, title: str, console: Console
+) -> dict[str, dict[str, float]]:
+    """The numbers of the estimates as they are, and of every filter with bones free and steady."""
+    poses = [
+        _wrong_sides(track.poses(views), settings.sides_wrong, np.random.default_rng([settings.seed, 2, i]))
+        for i, track in enumerate(tracks)
+    ]
+    truths = [track.truth for track in tracks]
+    rows = {"none": _measure(lambda: None, poses, truths)}
+    for name, bones in itertools.product(FILTERS, BONES_CHOICES):
+        rows[f"{name}, {bones} bones"] = _measure(
+            lambda name=name, bones=bones: load_filter(name, settings.lag_frames, bones=bones), poses, truths
+        )
+    frames = sum(map(len, poses))
+    console.print(_table(f"{frames} frames, {views} view{'s' * (views > 1)}{title}", rows))
+    return rows
+
+
+def make_tracks(settings: MotionEvaluation, console: Console, out_of_step_ms: float = 0.0) -> list[Track]:
     """The sequences' estimates, read or made."""
     binding = {k: v for k, v in plain_settings(settings).items() if k not in _NOT_BINDING}
     sensors = tuple(find_sensor(name) for name in settings.sensors)
-    store = TrackStore(settings.out, binding)
+    folder = settings.out / f"out_of_step_{out_of_step_ms:g}_ms" if out_of_step_ms else settings.out
+    store = TrackStore(folder, binding)
     tracks = [store.load(index) for index in range(settings.sequences)]
     found = [track for track in tracks if track is not None]
     if len(found) == len(tracks):
@@ -141,7 +169,7 @@ def make_tracks(settings: MotionEvaluation, console: Console) -> list[Track]:
             track = tracks[index]
             if track is None:
                 rng = np.random.default_rng([settings.seed, 1, index])
-                frames = moving_frames(motion, settings.views, sensors, rng)
+                frames = moving_frames(motion, settings.views, sensors, rng, out_of_step_ms / 1e3)
                 track = estimate_track(motion.name, frames, classifier, estimator)
                 store.save(index, track)
             found.append(track)

@@ -150,25 +150,45 @@ def way_over_floor(body: Body, postures: Float[ndarray, "t 20 3"]) -> Float[ndar
 
 
 def moving_frames(
-    motion: Motion, views: int, sensors: tuple[SensorPreset, ...], rng: np.random.Generator
+    motion: Motion,
+    views: int,
+    sensors: tuple[SensorPreset, ...],
+    rng: np.random.Generator,
+    out_of_step_s: float = 0.0,
 ) -> Iterator[FrameSet]:
     """The motion of a random dressed person on the floor z = 0, as random cameras see it, with true masks and joints.
 
-    All cameras look at the same instant; frame times count from 0.
+    Frame times count from 0, and are what the true joints are of. All cameras look at that instant, or each up to
+    ``out_of_step_s`` before or after it, always by as much; the frame's time is then the median of theirs, as when
+    frames are synchronised. Person, cameras and random numbers are the same either way.
     """
+    step_rng = rng.spawn(1)[0]
     dressed = random_dressed(rng, "open")
     way = np.pad(way_over_floor(dressed.body, motion.postures), ((0, 0), (0, 1)))
     middle = _standing(dressed, motion.postures[0], np.zeros(3)).body
     presets = [sensors[int(rng.integers(len(sensors)))] for _ in range(views)]
     cameras = [random_camera(rng, middle, CAMERAS, preset, f"cam{i}") for i, preset in enumerate(presets)]
+    steps = step_rng.uniform(-out_of_step_s, out_of_step_s, views)
+    times = np.arange(len(way)) + (steps - np.median(steps))[:, None] * FPS
+    moments = [_moments(motion.postures, way, at) for at in times]
     for index, (posture, offset) in enumerate(zip(motion.postures, way, strict=True)):
         person = _standing(dressed, posture, offset)
         seen = []
-        for camera, preset in zip(cameras, presets, strict=True):
-            drawn = render_person(person, camera)
+        for camera, preset, at, (postures, offsets) in zip(cameras, presets, times, moments, strict=True):
+            shown = person if at[index] == index else _standing(dressed, postures[index], offsets[index])
+            drawn = render_person(shown, camera)
             depth = sense(drawn.depth_m, drawn.material, camera, preset.model, rng)
             seen.append(View(camera, depth, drawn.person & (depth > 0)))
         yield FrameSet(round(index / FPS * 1e9), tuple(seen), person.joints)
+
+
+def _moments(
+    postures: Float[ndarray, "t 20 3"], way: Float[ndarray, "t 3"], at: Float[ndarray, "n"]
+) -> tuple[Float[ndarray, "n 20 3"], Float[ndarray, "n 3"]]:
+    """Postures and places at times between the frames (frame numbers); before the first and after the last, theirs."""
+    frames = np.arange(len(postures), dtype=float)
+    places = np.stack([np.interp(at, frames, axis) for axis in way.T], axis=1)
+    return _between(frames, postures, np.clip(at, 0, frames[-1])), places
 
 
 def _standing(dressed: DressedBody, posture: Float[ndarray, "20 3"], offset: Float[ndarray, "3"]) -> PosedPerson:

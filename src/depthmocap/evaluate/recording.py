@@ -16,7 +16,7 @@ from depthmocap.evaluate.evaluation_report import Outputs, about, print_results,
 from depthmocap.evaluate.metrics import joint_errors_cm, joint_metrics, reliability
 from depthmocap.evaluate.protocol import joint_numbers
 from depthmocap.offline import load_pipeline, open_source
-from depthmocap.pose.track import Smoothing
+from depthmocap.pose.track import Bones, Smoothing
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,6 +29,7 @@ class RecordingEvaluation(Outputs):
         smooth: as ``run`` has it; a filter that waits is measured against the frame that it answers for.
         lag_frames: that "fixed-lag" waits for.
         bridge_s: how long "kalman" and "fixed-lag" go on with a joint that is missing (s).
+        bones: of constant length, or as estimated.
         weights: a classifier.onnx of your own.
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
     """
@@ -38,6 +39,7 @@ class RecordingEvaluation(Outputs):
     smooth: Smoothing = "auto"
     lag_frames: int = 4
     bridge_s: float = 0.0
+    bones: Bones = "steady"
     weights: Path | None = None
     estimator: str = "votes"
 
@@ -52,7 +54,7 @@ def evaluate_recording(settings: RecordingEvaluation, console: Console | None = 
     source = open_source(settings.recording)
     pipeline = load_pipeline(
         source, settings.segment, settings.smooth, settings.weights, settings.estimator,
-        lag_frames=settings.lag_frames, bridge_s=settings.bridge_s,
+        lag_frames=settings.lag_frames, bridge_s=settings.bridge_s, bones=settings.bones,
     )  # fmt: skip
     truths, poses, spent_ms = {}, {}, []
     for frames in track(source, settings.recording.name, len(source), console=console):

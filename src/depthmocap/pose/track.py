@@ -1,4 +1,4 @@
-"""Poses over time: the filter a user asks for by name, behind the guard of the sides."""
+"""Poses over time: the filter a user asks for by name, between the guard of the sides and the bones' lengths."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any, Literal, get_args
 
 from depthmocap.errors import InputError
 from depthmocap.frames import Pose
+from depthmocap.pose.bones import BoneSettings, SteadyBones
 from depthmocap.pose.filter import PoseFilter
 from depthmocap.pose.fixed_lag import FixedLag, FixedLagSettings
 from depthmocap.pose.kalman import Kalman, KalmanSettings
@@ -17,15 +18,19 @@ from depthmocap.pose.smooth import Average
 FilterName = Literal["average", "one-euro", "kalman", "fixed-lag"]
 FILTERS: tuple[FilterName, ...] = get_args(FilterName)
 Smoothing = Literal["auto", "none", "average", "one-euro", "kalman", "fixed-lag"]
+Bones = Literal["free", "steady"]
+BONES_CHOICES: tuple[Bones, ...] = get_args(Bones)
 #: What "auto" stands for where frames follow each other; see docs/smoothing.md for the measurement.
 AUTO: FilterName = "kalman"
 
 
 class Tracker(PoseFilter):
-    """A filter whose poses have kept their sides (see ``pose.sides``)."""
+    """A filter whose poses have kept their sides (see ``pose.sides``), and given bones of constant length after it (see
+    ``pose.bones``), unless ``bones`` is None."""
 
-    def __init__(self, inner: PoseFilter, sides: SideSettings | None = None) -> None:
+    def __init__(self, inner: PoseFilter, sides: SideSettings | None = None, bones: BoneSettings | None = None) -> None:
         self._inner, self._guard = inner, SideGuard(sides)
+        self._bones = None if bones is None else SteadyBones(bones)
         self.delay_frames = inner.delay_frames
 
     @property
@@ -40,43 +45,56 @@ class Tracker(PoseFilter):
 
     def __call__(self, pose: Pose) -> Pose:
         """See :class:`PoseFilter`."""
-        return self._inner(self._guard(pose))
+        return self._steady(self._inner(self._guard(pose)))
 
     def reset(self) -> None:
         """See :class:`PoseFilter`."""
         self._guard.reset()
         self._inner.reset()
+        if self._bones is not None:
+            self._bones.reset()
 
     def finish(self) -> list[Pose]:
         """See :class:`PoseFilter`."""
-        self._guard.reset()
-        return self._inner.finish()
+        last = [self._steady(pose) for pose in self._inner.finish()]
+        self.reset()
+        return last
 
     def describe(self) -> dict[str, Any]:
         """See :class:`PoseFilter`."""
-        return {**self._inner.describe(), "sides": dataclasses.asdict(self._guard.settings)}
+        bones = None if self._bones is None else dataclasses.asdict(self._bones.settings)
+        return {**self._inner.describe(), "sides": dataclasses.asdict(self._guard.settings), "bones": bones}
+
+    def _steady(self, pose: Pose) -> Pose:
+        return pose if self._bones is None else self._bones(pose)
 
 
-def load_filter(name: FilterName, lag_frames: int = FixedLagSettings().frames, bridge_s: float = 0.0) -> Tracker:
+def load_filter(
+    name: FilterName, lag_frames: int = FixedLagSettings().frames, bridge_s: float = 0.0, bones: Bones = "steady"
+) -> Tracker:
     """A filter by name, with the guard of the sides.
 
     Args:
         lag_frames: that "fixed-lag" waits for.
         bridge_s: how long "kalman" and "fixed-lag" go on with a joint that is missing; 0 leaves gaps.
+        bones: "steady" gives them constant lengths, learnt on the run.
 
     Raises:
         InputError: for another name, or a setting out of range or not of this filter.
     """
     if bridge_s and name not in ("kalman", "fixed-lag"):
         raise InputError(f"gaps are bridged by the filters kalman and fixed-lag, not by {name}")
+    inner: PoseFilter
     model = KalmanSettings(bridge_s=bridge_s)
     match name:
         case "average":
-            return Tracker(Average())
+            inner = Average()
         case "one-euro":
-            return Tracker(OneEuro())
+            inner = OneEuro()
         case "kalman":
-            return Tracker(Kalman(model))
+            inner = Kalman(model)
         case "fixed-lag":
-            return Tracker(FixedLag(FixedLagSettings(lag_frames, model)))
-    raise InputError(f"--smooth takes auto, none, average, one-euro, kalman or fixed-lag, not {name!r}")
+            inner = FixedLag(FixedLagSettings(lag_frames, model))
+        case _:
+            raise InputError(f"--smooth takes auto, none, average, one-euro, kalman or fixed-lag, not {name!r}")
+    return Tracker(inner, bones=BoneSettings() if bones == "steady" else None)
