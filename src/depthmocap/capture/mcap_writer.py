@@ -32,6 +32,7 @@ from scipy.spatial.transform import Rotation
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.capture.depth_codec import CODINGS, Coding, encode_depth
+from depthmocap.capture.recording import check_frame
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.geometry import DepthCamera, Rig
 
@@ -266,7 +267,7 @@ class McapWriter:
         self.path, self.rig = path, rig
         self.frames: dict[str, int] = dict.fromkeys(rig.names, 0)
         for name, raw in (backgrounds or {}).items():
-            self._check(name, raw)
+            check_frame(path, rig, name, raw)
         self._sink = McapSink(path)
         self._lock = threading.Lock()
         start_ns = time.time_ns() if start_ns is None else start_ns
@@ -302,7 +303,7 @@ class McapWriter:
         Raises:
             InputError: when it does not fit the rig, or the file cannot be written any further.
         """
-        self._check(name, raw)
+        check_frame(self.path, self.rig, name, raw)
         image = self._topics.image(name, timestamp_ns, raw)  # the costly part needs no lock
         with self._lock:
             self._sink.check()
@@ -328,13 +329,3 @@ class McapWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-    def _check(self, name: str, raw: UInt16[ndarray, "h w"]) -> None:
-        if name not in self.rig.names:
-            raise InputError(f"{self.path}: no camera {name!r} in the rig, which has {', '.join(self.rig.names)}")
-        camera = self.rig[name]
-        if raw.dtype != np.uint16 or raw.shape != (camera.height, camera.width):
-            raise InputError(
-                f"{self.path}: a frame of {name!r} must be uint16 of {camera.height} rows and {camera.width} columns, "
-                f"got {raw.dtype} {raw.shape}"
-            )

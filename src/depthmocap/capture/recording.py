@@ -65,6 +65,22 @@ def read_depth_png(path: Path, camera: DepthCamera) -> UInt16[ndarray, "h w"]:
     return raw
 
 
+def check_frame(path: Path, rig: Rig, name: str, raw: UInt16[ndarray, "h w"]) -> None:
+    """See that a frame can be written to the recording ``path``.
+
+    Raises:
+        InputError: when it is of no camera of the rig, or not of its size, or not 16 bit.
+    """
+    if name not in rig.names:
+        raise InputError(f"{path}: no camera {name!r} in the rig, which has {', '.join(rig.names)}")
+    camera = rig[name]
+    if raw.dtype != np.uint16 or raw.shape != (camera.height, camera.width):
+        raise InputError(
+            f"{path}: a frame of {name!r} must be uint16 of {camera.height} rows and {camera.width} columns, "
+            f"got {raw.dtype} {raw.shape}"
+        )
+
+
 def _list_frames(folder: Path) -> dict[int, Path]:
     """Frame files by timestamp, in order of time. A folder that is not there has none."""
     frames: dict[int, Path] = {}
@@ -318,14 +334,7 @@ class RecordingWriter:
         self.close()
 
     def _write_png(self, name: str, file: str, raw: UInt16[ndarray, "h w"]) -> None:
-        if name not in self.rig.names:
-            raise InputError(f"{self.path}: no camera {name!r} in the rig, which has {', '.join(self.rig.names)}")
-        camera = self.rig[name]
-        if raw.dtype != np.uint16 or raw.shape != (camera.height, camera.width):
-            raise InputError(
-                f"{self.path / name / file}: a frame must be uint16 of {camera.height} rows and {camera.width} "
-                f"columns, got {raw.dtype} {raw.shape}"
-            )
+        check_frame(self.path, self.rig, name, raw)
         # Encoded in memory because OpenCV cannot open a path with non-ASCII letters on Windows.
         _, data = cv2.imencode(".png", raw, [cv2.IMWRITE_PNG_COMPRESSION, self.compression])
         (self.path / name / file).write_bytes(data.tobytes())
