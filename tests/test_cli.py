@@ -55,3 +55,12 @@ def test_running_needs_no_torch(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "depthmocap[train]" in done.stderr
+
+
+def test_help_that_nobody_reads_to_its_end_is_no_error():
+    command = [sys.executable, "-m", "depthmocap.cli", "run", "--help"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait() == 1

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import os
 import sys
 import warnings
+from typing import Any
 
 import tyro
 from rich.console import Console
@@ -101,6 +103,19 @@ def _find(arguments: list[str]) -> tuple[_Command, list[str]] | None:
     return None
 
 
+def _parse(settings: type, arguments: list[str], prog: str) -> Any:
+    """The settings that the arguments tell. Help that nobody reads to its end (``| head``) ends in silence."""
+    try:
+        try:
+            return tyro.cli(settings, args=arguments, prog=prog)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # Python flushes once more at its end, and would complain.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(1) from None
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; returns the exit status. Bad input is one line on stderr and status 2."""
     arguments = sys.argv[1:] if arguments is None else arguments
@@ -129,7 +144,7 @@ def main(arguments: list[str] | None = None) -> int:
             if command.extra and not (error.name or "").startswith("depthmocap"):
                 raise missing_extra(error.name or "torch", command.extra) from None
             raise
-        settings = tyro.cli(getattr(module, command.settings), args=rest, prog=f"depthmocap {command.words}")
+        settings = _parse(getattr(module, command.settings), rest, f"depthmocap {command.words}")
         getattr(module, command.function)(settings)
     except InputError as error:
         errors.print(f"error: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
