@@ -120,7 +120,8 @@ def map_skeleton(motion: Motion, overrides: Joints | None = None) -> SkeletonMap
     if missing := [bone for bone in REQUIRED_BONES if bone not in joints]:
         raise InputError(
             f"joints {list(motion.names[:6])}… fit no known naming scheme ({', '.join(SCHEMES)}), and guessing found "
-            f"none for {', '.join(missing)}: give postures build a --mapping file"
+            f"none for {', '.join(missing)}: name them to postures build by --mapping FILE, and use the pool that it makes "
+            "as --postures"
         )
     return SkeletonMap({bone: joints[bone] for bone in POSTURE_BONES if bone in joints}, scheme)
 
