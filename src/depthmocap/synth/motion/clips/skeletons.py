@@ -120,8 +120,8 @@ def map_skeleton(motion: Motion, overrides: Joints | None = None) -> SkeletonMap
     if missing := [bone for bone in REQUIRED_BONES if bone not in joints]:
         raise InputError(
             f"joints {list(motion.names[:6])}… fit no known naming scheme ({', '.join(SCHEMES)}), and guessing found "
-            f"none for {', '.join(missing)}: name them to postures build by --mapping FILE, and use the pool that it makes "
-            "as --postures"
+            f"none for {', '.join(missing)}: name them in a --mapping file for postures build, and use its pool as "
+            "--postures"
         )
     return SkeletonMap({bone: joints[bone] for bone in POSTURE_BONES if bone in joints}, scheme)
 
