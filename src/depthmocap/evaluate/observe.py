@@ -154,8 +154,9 @@ def _look(frame: AnnotatedFrame, up: str, estimator: JointEstimator, classifier:
         return row | {"estimates": np.full((len(JOINTS), 3), np.nan), "confidence": np.zeros(len(JOINTS))}
     parts = part_statistics(cloud, up)
     body = body_frame(parts)
-    weights = (parts[..., AREA] * parts[..., PROBABILITY]).astype(np.float64)
+    regions = parts[:, :REGION_COUNT]
+    weights = (regions[..., AREA] * regions[..., PROBABILITY]).astype(np.float64)
     total = weights.sum(0)
     seen = total > 0
-    row["centres"][seen] = np.einsum("vr,vrc->rc", weights, parts[..., CENTRE])[seen] / total[seen, None]
+    row["centres"][seen] = np.einsum("vr,vrc->rc", weights, regions[..., CENTRE])[seen] / total[seen, None]
     return row | {"origin": body.origin, "turn": body.turn}
