@@ -132,7 +132,7 @@ def test_a_frame_costs_little(truths: Float[ndarray, "120 18 3"]) -> None:
     start = time.process_time()
     for second in range(1, 4):
         apply(bones, [Pose(pose.timestamp_ns + second * 4 * 10**9, pose.joints, pose.confidence) for pose in poses])
-    assert (time.process_time() - start) / (3 * len(poses)) < 1e-3  # 0.14 ms on a quiet core
+    assert (time.process_time() - start) / (3 * len(poses)) < 1e-3  # 0.13 ms of a core
 
 
 def test_bad_settings() -> None:

@@ -38,7 +38,6 @@ _NOT_BINDING = ("out", "sequences", "sides_wrong", "out_of_step_ms", "lag_frames
 _COLUMNS = (
     ("mean_joint_error_cm", "error cm", 2),
     ("acceleration_error_mm", "accel. mm/f²", 1),
-    ("acceleration_error_mps2", "accel. m/s²", 1),
     ("rest_jitter_mm", "jitter mm", 2),
     ("foot_skate_cmps", "skate cm/s", 1),
     ("bone_deviation_mm", "bones mm", 1),

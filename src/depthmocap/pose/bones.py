@@ -27,7 +27,7 @@ from depthmocap.pose.filter import FORGET_S, seen_joints
 STEADY_BONES = tuple(bone for bone in BONES if bone[1] not in ("Spine", "RShoulder", "LShoulder"))
 _PARENT, _CHILD = np.array([[JOINT_INDEX[name] for name in bone] for bone in STEADY_BONES]).T
 _CHILDREN = _CHILD.tolist()
-#: ``lengths[_MIRRORED]`` exchanges left and right.
+#: Each bone's mirror image; bones in the middle are their own.
 _MIRRORED = np.array([_CHILDREN.index(MIRROR[child]) for child in _CHILDREN])
 #: The bones' incidence.
 _ENDS = np.zeros((len(STEADY_BONES), len(JOINTS)))
@@ -72,7 +72,7 @@ class SteadyBones:
     @property
     def lengths_m(self) -> Float64[ndarray, "14"]:
         """The length of each of ``STEADY_BONES`` by now; NaN where it was not seen."""
-        return _weighted_median(self._seen + self._seen[_MIRRORED])
+        return _weighted_median(self._seen)
 
     def __call__(self, pose: Pose) -> Pose:
         """The pose with the lengths known by now, its own among them."""
@@ -94,17 +94,19 @@ class SteadyBones:
         lengths = np.linalg.norm(joints[_CHILD] - joints[_PARENT], axis=1)
         known = np.flatnonzero(lengths < _STEP_M * _STEPS)
         trust = np.minimum(confidence[_PARENT], confidence[_CHILD])
-        self._seen[known, (lengths[known] / _STEP_M).astype(int)] += trust[known]
+        steps = (lengths[known] / _STEP_M).astype(int)
+        self._seen[known, steps] += trust[known]
+        self._seen[_MIRRORED[known], steps] += trust[known]
 
 
 def _weighted_median(counts: Float64[ndarray, "n steps"]) -> Float64[ndarray, "n"]:
     """Median length (metres) of rows of weights by ``_STEP_M``, between steps linearly; NaN where all are 0."""
     below = counts.cumsum(1)
-    half = below[:, -1:] / 2
-    step = (below < half).sum(1, keepdims=True)
-    at, inside = (np.take_along_axis(each, np.minimum(step, _STEPS - 1), 1) for each in (below, counts))
-    share = 1 - (at - half) / np.where(inside > 0, inside, np.nan)
-    return ((step + share) * _STEP_M)[:, 0]
+    half = below[:, -1] / 2
+    rows, step = np.arange(len(counts)), (below >= half[:, None]).argmax(1)
+    inside = counts[rows, step]
+    share = 1 - (below[rows, step] - half) / np.where(inside > 0, inside, np.nan)
+    return (step + share) * _STEP_M
 
 
 def with_lengths(
