@@ -13,7 +13,7 @@ from depthmocap.body.regions import MIRROR, REGION, UNLABELLED
 from depthmocap.cli import main
 from depthmocap.errors import InputError
 from depthmocap.evaluate.label_charts import label_grid, region_bars, reliability_diagram
-from depthmocap.evaluate.label_measures import LEAST_PIXELS, PARTS, Calibration, PartSwaps
+from depthmocap.evaluate.label_measures import LEAST_PIXELS, PARTS, BorderAccuracy, Calibration, PartSwaps
 from depthmocap.synth.sample import Recipe
 
 
@@ -76,6 +76,25 @@ def test_parts_hardly_seen_and_unknown_pixels_are_not_judged() -> None:
     assert swapped(np.concatenate([arm, unknown]), np.full(len(arm) + 500, REGION["forearm L"], np.uint8)) == {}
     arm = np.full(LEAST_PIXELS, REGION["forearm R"], np.uint8)
     assert swapped(arm, np.full(LEAST_PIXELS, REGION["forearm L"], np.uint8)) == {"arm R": 1}
+
+
+def test_accuracy_by_distance_from_a_border() -> None:
+    truth = np.zeros((12, 40), np.uint8)
+    truth[2:10, 5:15], truth[2:10, 15:35] = 3, 9  # one border, in the middle; what is around them is none
+    predicted = truth.copy()
+    predicted[:, 14:16] = 3  # right on one side of the border, wrong on the other
+    predicted[:, 34] = 7
+    borders = BorderAccuracy()
+    borders.add(truth, predicted, truth > 0)
+    assert borders.pixels.tolist() == [16, 16, 32, 64, 8 * 14]
+    assert borders.right.tolist() == [8, 16, 32, 64, 8 * 13]
+    assert borders.rows[0] == ("0 to 1", 16 / 240, 0.5)
+    assert borders.rows[-1] == ("8 and more", 112 / 240, 13 / 14)
+    borders.add(truth, truth, truth == 9)  # only what counts is counted
+    assert borders.pixels.sum() == 240 + 160
+    alone = BorderAccuracy()
+    alone.add(np.full((3, 3), 5, np.uint8), np.full((3, 3), 5, np.uint8), np.ones((3, 3), bool))
+    assert alone.rows == [("8 and more", 1.0, 1.0)]
 
 
 def test_rate_of_swaps() -> None:

@@ -1,12 +1,14 @@
-"""Two faults of labels that pixel accuracy hides: whole limbs on the wrong side, and probabilities that promise too
-much."""
+"""What pixel accuracy hides of labels: whole limbs on the wrong side, how much of what is wrong lies at the borders of
+regions, and probabilities that promise too much."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
+import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int, Integer
+from jaxtyping import Bool, Float, Int, Integer, UInt8
 from numpy import ndarray
 
 from depthmocap.body.regions import REGION, REGION_COUNT
@@ -85,6 +87,61 @@ class PartSwaps:
     def per_1000_views(self) -> float:
         """Of a thousand views, those with any part swapped; NaN without views."""
         return 1000 * self.swapped_views / self.views if self.views else float("nan")
+
+
+#: Pixels are told apart by how many pixels the next border of a region is away: less than these, or more.
+BORDER_PX = (1, 2, 4, 8)
+
+
+def _no_rings() -> Int[ndarray, " rings"]:
+    return np.zeros(len(BORDER_PX) + 1, dtype=np.int64)
+
+
+@dataclasses.dataclass(eq=False)
+class BorderAccuracy:
+    """Pixels labelled right by their distance from the nearest border between two true regions, as the trimaps of
+    semantic segmentation tell it (Kohli et al., "Robust higher order potentials", CVPR 2008).
+
+    A pixel beside one of another region is 0 away. The silhouette is no border.
+    """
+
+    #: By distance: pixels, and those labelled right.
+    pixels: Int[ndarray, " rings"] = dataclasses.field(default_factory=_no_rings)
+    right: Int[ndarray, " rings"] = dataclasses.field(default_factory=_no_rings)
+
+    def add(
+        self, labels_true: UInt8[ndarray, "h w"], labels_predicted: UInt8[ndarray, "h w"], counted: Bool[ndarray, "h w"]
+    ) -> None:
+        """Count the ``counted`` pixels of a window."""
+        known = (labels_true >= 1) & (labels_true <= REGION_COUNT)
+        at_border = np.zeros(labels_true.shape, bool)
+        for here, there in (
+            ((slice(None), slice(1, None)), (slice(None), slice(None, -1))),
+            ((slice(1, None), slice(None)), (slice(None, -1), slice(None))),
+        ):
+            differ = known[here] & known[there] & (labels_true[here] != labels_true[there])
+            at_border[here] |= differ
+            at_border[there] |= differ
+        if at_border.any():
+            distance = cv2.distanceTransform((~at_border).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        else:
+            distance = np.full(labels_true.shape, np.inf)
+        ring = np.digitize(distance[counted], BORDER_PX)
+        hit = labels_true[counted] == labels_predicted[counted]
+        self.pixels += np.bincount(ring, minlength=len(self.pixels))
+        self.right += np.bincount(ring[hit], minlength=len(self.right))
+
+    @property
+    def rows(self) -> list[tuple[str, float, float]]:
+        """Of every distance that occurs: its name, its share of all pixels, and the share of them labelled right."""
+        edges = (0, *BORDER_PX)
+        names = [f"{low} to {high}" for low, high in itertools.pairwise(edges)] + [f"{edges[-1]} and more"]
+        total = self.pixels.sum()
+        return [
+            (name, float(pixels / total), float(right / pixels))
+            for name, pixels, right in zip(names, self.pixels, self.right, strict=True)
+            if pixels
+        ]
 
 
 _BINS = 20

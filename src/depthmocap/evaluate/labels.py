@@ -18,7 +18,7 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.evaluate.charts import confusion_picture
 from depthmocap.evaluate.label_charts import LabelExample, label_grid, region_bars, reliability_diagram
-from depthmocap.evaluate.label_measures import LEAST_PIXELS, PARTS, Calibration, PartSwaps
+from depthmocap.evaluate.label_measures import LEAST_PIXELS, PARTS, BorderAccuracy, Calibration, PartSwaps
 from depthmocap.evaluate.metrics import PixelAccuracy
 from depthmocap.evaluate.report import ReportFigure, ReportSection, ReportTable, write_report
 from depthmocap.frames import FrameSet, View
@@ -65,6 +65,7 @@ class LabelQuality:
 
     accuracy: PixelAccuracy = dataclasses.field(default_factory=PixelAccuracy)
     swaps: PartSwaps = dataclasses.field(default_factory=PartSwaps)
+    borders: BorderAccuracy = dataclasses.field(default_factory=BorderAccuracy)
     calibration: Calibration = dataclasses.field(default_factory=Calibration)
     #: Views whose mask holds nobody.
     empty: int = 0
@@ -86,6 +87,7 @@ class LabelQuality:
             true, predicted = truth[inside], found.in_window.labels[inside]
             self.accuracy.add(true, predicted)
             self.swaps.add(true, predicted)
+            self.borders.add(truth, found.in_window.labels, inside)
             self.calibration.add(found.in_window.confidence[inside], true == predicted)
         return examples
 
@@ -103,6 +105,10 @@ class LabelQuality:
                 part: {"shown": int(shown), "swapped": int(swapped)}
                 for part, shown, swapped in zip(PARTS, swaps.shown, swaps.swapped, strict=True)
             },
+            "borders": [
+                {"pixels_from_a_border": name, "share": share, "right": right}
+                for name, share, right in self.borders.rows
+            ],
             "calibration_error": self.calibration.error,
             "calibration": [
                 {"pixels": n, "probability": probability, "right": right}
@@ -195,6 +201,7 @@ def _write(out: Path, data: str, quality: LabelQuality, numbers: dict[str, Any],
         (part, each["shown"], each["swapped"], 1000 * each["swapped"] / max(each["shown"], 1))
         for part, each in numbers["swaps"].items()
     ]
+    borders = [(each["pixels_from_a_border"], 100 * each["share"], 100 * each["right"]) for each in numbers["borders"]]
     sections = [
         ReportSection(
             "Numbers",
@@ -206,6 +213,11 @@ def _write(out: Path, data: str, quality: LabelQuality, numbers: dict[str, Any],
         *(
             ReportSection(heading, figures=(ReportFigure(*charts[name], chart=True),))
             for heading, name in (("Confusion", "confusion"), ("Regions", "regions"), ("Calibration", "calibration"))
+        ),
+        ReportSection(
+            "Borders",
+            ("Pixels by their distance from the nearest border between two true regions, in pixels of the window.",),
+            (ReportTable(("distance", "of all pixels (%)", "labelled right (%)"), borders, decimals=1),),
         ),
         ReportSection(
             "Swaps",
