@@ -10,6 +10,7 @@ pytest.importorskip("torch")
 
 from depthmocap.cli import main
 from depthmocap.pose.features import FEATURE_COUNT
+from depthmocap.pose.parts import PART_COUNT
 
 
 def write_samples(folder, n=400, views=2):
@@ -21,10 +22,10 @@ def write_samples(folder, n=400, views=2):
     weights[:20] = rng.normal(0, 0.05, (20, 54))
     targets = (features @ weights).reshape(n, 18, 3).astype(np.float32)
     groups = np.arange(n) % 16
-    parts = np.zeros((n, views, 43, 16), np.float32)
+    parts = np.zeros((n, views, PART_COUNT, 16), np.float32)
     parts[..., 0] = 100
     parts[..., 1:4] = 0.01, 0.9, 1.0
-    parts[..., 4:7] = rng.normal(0, 0.3, (n, 1, 43, 3))
+    parts[..., 4:7] = rng.normal(0, 0.3, (n, 1, PART_COUNT, 3))
     parts[..., [7, 10, 12]] = 0.01
     parts[..., 13] = 1
     joints = parts[:, 0, :18, 4:7].astype(np.float64)
