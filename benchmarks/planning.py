@@ -16,9 +16,9 @@ import engine_rows
 import tyro
 from engine_rows import Written
 
+from depthmocap.cores import usable_cores
 from depthmocap.datasets.shards import SAMPLES_PER_SHARD
 from depthmocap.datasets.ubc3v import FRAMES_PER_SECTION
-from depthmocap.synth.output.stream import usable_cores
 from depthmocap.synth.output.units import Layout
 from depthmocap.synth.sample import Noise
 

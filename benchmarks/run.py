@@ -31,8 +31,8 @@ from rich.console import Console
 from rich.table import Table
 from timing import Bench, Row, Timing
 
+from depthmocap.cores import usable_cores
 from depthmocap.errors import InputError
-from depthmocap.synth.output.stream import usable_cores
 
 #: Load per core at the start from which on numbers mean little.
 _BUSY = 0.5

@@ -139,7 +139,7 @@ def test_train_classifier_resumes_and_exports(root, tmp_path):
     load_weights(network, settings.out / "classifier.safetensors")
     window = torch.rand(1, 3, 192, 192)
     with torch.no_grad():
-        expected = network.eval()(window).numpy()
+        expected = network.eval()(window)[0].numpy()
     found = Classifier(onnx)._session.run(None, {"windows": window.numpy()})[0]
     np.testing.assert_allclose(found, expected, atol=0.02 * np.abs(expected).max())
 

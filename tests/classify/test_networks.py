@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+
+from depthmocap.kernels.head import label_groups
 
 torch = pytest.importorskip("torch")
 
-from depthmocap.classify.networks import CLASSES, NETWORKS, FastNet, masked_outputs  # noqa: E402
+from depthmocap.classify.networks import CLASSES, NETWORKS, FastNet, _Groups, _twice, masked_outputs  # noqa: E402
 
 
 def small_network() -> FastNet:
@@ -14,35 +17,66 @@ def small_network() -> FastNet:
     return FastNet((8, 12, 16, 16, 16), (0, 1, 0, 1, 0)).eval()
 
 
+def random_windows(count: int, height: int = 64, width: int = 64) -> torch.Tensor:
+    """Windows of which a third of the pixels are the person's."""
+    x = torch.randn(count, 3, height, width, generator=torch.Generator().manual_seed(0))
+    x[:, 1] = (x[:, 1] < -0.4).float()
+    return x
+
+
 @pytest.mark.parametrize("size", [64, 192])
 def test_output_shape(size: int) -> None:
+    x = torch.zeros(2, 3, size, size)
+    x[1, 1, 5:8, 10] = 1  # of two groups
     with torch.no_grad():
-        assert small_network()(torch.zeros(2, 3, size, size))[0].shape == (2, 4 * CLASSES, size // 2, size // 2)
+        probabilities, joints = small_network()(x)
+    assert (probabilities.shape, joints.shape) == ((2, 4, CLASSES), (2, 18, 4))
+    torch.testing.assert_close(probabilities.sum(-1), torch.ones(2, 4))
 
 
 def test_default_network_fits_its_name() -> None:
     network = NETWORKS["fast"]()
     parameters = sum(parameter.numel() for parameter in network.parameters())
     assert 1e6 < parameters < 3e6
-    with torch.no_grad():
-        logits, joints = network.eval()(torch.zeros(1, 3, 64, 64))
-    assert (logits.shape, joints.shape) == ((1, 4 * CLASSES, 32, 32), (1, 18, 4))
 
 
 def test_pictures_of_a_batch_do_not_mix() -> None:
     network = small_network()
-    x = torch.randn(3, 3, 64, 64)
+    x = random_windows(3)
     with torch.no_grad():
-        for together, alone in zip(network(x), network(x[1:2]), strict=True):
-            torch.testing.assert_close(together[1:2], alone, atol=1e-4, rtol=1e-4)
+        probabilities, joints = network(x)
+        alone = [network(window[None]) for window in x]
+    torch.testing.assert_close(probabilities, torch.cat([each[0] for each in alone]), atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(joints, torch.cat([each[1] for each in alone]), atol=1e-4, rtol=1e-4)
 
 
-def shuffled(logits: torch.Tensor) -> torch.Tensor:
-    """Logits (n, h, w, 44) of all pixels. Channel 44·k + c is class c of pixel k; pixel_shuffle wants all k of a class
-    together."""
+def dense_logits(network: FastNet, x: torch.Tensor) -> torch.Tensor:
+    """Logits (n, h, w, 44) of all pixels, by the head as the convolution that it is. Channel 44·k + c is class c of
+    pixel k; pixel_shuffle wants all k of a class together."""
+    logits = network.head(network.features(x)[0])
     n, _, h, w = logits.shape
     by_class = logits.reshape(n, 4, CLASSES, h, w).transpose(1, 2).reshape(n, CLASSES * 4, h, w)
     return torch.nn.functional.pixel_shuffle(by_class, 2).permute(0, 2, 3, 1)
+
+
+def test_labels_of_groups_are_those_of_the_dense_output() -> None:
+    """Through the kernel that reads them, window after window."""
+    network, x = small_network(), random_windows(2)
+    mask = x[:, 1].numpy() > 0
+    with torch.no_grad():
+        dense = dense_logits(network, x).softmax(-1).numpy()
+        for window, person, expected in zip(x, mask, dense, strict=True):
+            labels, confidence = np.zeros(person.shape, np.uint8), np.zeros(person.shape, np.float32)
+            label_groups(network(window[None])[0].numpy(), person, labels, confidence)
+            np.testing.assert_array_equal(labels, np.where(person, expected.argmax(-1), 0))
+            np.testing.assert_allclose(confidence, np.where(person, expected.max(-1), 0), rtol=1e-4)
+            assert len(np.unique(labels)) > 3
+
+
+def test_enlargement_and_groups_are_torchs_own() -> None:
+    x = torch.randn(2, 5, 6, 8)
+    torch.testing.assert_close(_twice(x), torch.nn.functional.interpolate(x, scale_factor=2, mode="nearest"))
+    assert torch.equal(_Groups()(x), torch.nn.functional.pixel_unshuffle(x, 2))
 
 
 def test_masked_outputs_are_those_of_the_shuffled_output() -> None:
@@ -53,8 +87,8 @@ def test_masked_outputs_are_those_of_the_shuffled_output() -> None:
     mask = torch.rand(3, 32, 64, generator=generator) < 0.4
     with torch.no_grad():
         chosen, truth, joints = masked_outputs(network, x, labels, mask)
-        logits, all_joints = network(x)
-        full = shuffled(logits)
+        full = dense_logits(network, x)
+        all_joints = network(x)[1]
     assert joints is not None
     torch.testing.assert_close(joints, all_joints, atol=1e-4, rtol=1e-4)
     order = truth.argsort()

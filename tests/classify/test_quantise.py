@@ -12,7 +12,7 @@ import onnxruntime  # noqa: E402
 
 from depthmocap.classify.data import training_window  # noqa: E402
 from depthmocap.classify.export import export_onnx  # noqa: E402
-from depthmocap.classify.networks import CLASSES, FastNet  # noqa: E402
+from depthmocap.classify.networks import FastNet  # noqa: E402
 from depthmocap.classify.quantise import quantise  # noqa: E402
 from depthmocap.classify.runtime import Classifier  # noqa: E402
 from depthmocap.classify.train import load_weights  # noqa: E402
@@ -31,10 +31,12 @@ def test_same_labels_in_half_the_space(body_model, tmp_path):
     Classifier(path)  # a classifier like any other
 
     seen = windows[8:]
-    (labels, joints), (labels_8, joints_8) = (found(each, seen) for each in (source, path))
-    person = seen[:, 1] > 0
-    assert (labels == labels_8)[person].mean() > 0.95
-    assert len(np.unique(labels_8[person])) > 20
+    (sure, joints), (sure_8, joints_8) = (found(each, seen) for each in (source, path))
+    labels, labels_8 = sure.argmax(-1), sure_8.argmax(-1)
+    shown = seen[:, 1].reshape(4, 96, 2, 96, 2).any((2, 4)).sum()
+    assert labels.shape == labels_8.shape == (shown, 4)
+    assert (labels == labels_8).mean() > 0.94  # with pixels beside the person, which nothing has learnt
+    assert len(np.unique(labels_8)) > 20
     # Places are sums of what is not in 8 bits.
     assert np.median(np.linalg.norm((joints - joints_8)[..., :3], axis=-1)) < 0.01
     # Only convolutions have become smaller.
@@ -43,10 +45,5 @@ def test_same_labels_in_half_the_space(body_model, tmp_path):
 
 
 def found(path: Path, windows):
-    """Labels (n, s, s) and joints."""
-    logits, joints = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"]).run(
-        None, {"windows": windows}
-    )
-    n, _, h, w = logits.shape
-    chosen = logits.reshape(n, 2, 2, CLASSES, h, w).argmax(3)
-    return chosen.transpose(0, 3, 1, 4, 2).reshape(n, 2 * h, 2 * w), joints
+    """Probabilities (m, 4, 44) and joints."""
+    return onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"]).run(None, {"windows": windows})

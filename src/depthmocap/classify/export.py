@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 
 def export_onnx(network: Network, path: Path, metadata: dict[str, str]) -> Path:
-    """Write ``network`` as ONNX: input ``windows`` (n, *its input_shape*), outputs ``logits`` and, where it tells them,
-    ``joints``, those of its forward.
+    """Write ``network`` as ONNX: input ``windows`` (n, *its input_shape*), outputs those of its forward: ``logits`` of
+    the paper's, ``probabilities`` and ``joints`` of ours.
 
     ``metadata`` must hold the network's name as ``network``, by which :class:`~depthmocap.classify.runtime.Classifier`
     knows how its windows are made.
@@ -34,7 +34,7 @@ def export_onnx(network: Network, path: Path, metadata: dict[str, str]) -> Path:
 
     network = copy.deepcopy(network).cpu().eval()
     example = torch.zeros(2, *network.input_shape)
-    outputs = ["logits", "joints"] if network.tells_joints else ["logits"]
+    outputs = ["probabilities", "joints"] if network.tells_joints else ["logits"]
     with _quiet():
         program = torch.onnx.export(
             network, (example,), input_names=["windows"], output_names=outputs, dynamo=True, verbose=False,

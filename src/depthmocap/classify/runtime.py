@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.resources
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,13 +15,16 @@ from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.classify.preprocess import WINDOW_MAKERS, Window, WindowMaker
+from depthmocap.cores import usable_cores
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.kernels.dense_head import label_dense_pixels
-from depthmocap.kernels.head import label_pixels
+from depthmocap.kernels.head import label_groups, label_pixels
 
-#: How labels are read from each network's output.
-_READERS = {"fast": label_pixels, "paper": label_dense_pixels}
+#: The outputs of each network.
+_OUTPUTS = {"fast": ["probabilities", "joints"], "paper": ["logits"]}
+#: How labels are read from the first of them.
+_READERS = {"fast": label_groups, "paper": label_dense_pixels}
 
 
 class Found(NamedTuple):
@@ -56,6 +60,9 @@ def _no_joints() -> Float[ndarray, "18 4"]:
 class Classifier:
     """A trained body-part classifier: depth in, region and probability of every pixel out (paper, Sec. IV-A).
 
+    Views are labelled side by side, each by one thread from the picture to the labels: nothing waits for another view,
+    as the threads of a network would after every layer.
+
     Attributes:
         path: of its file.
         network: its name, "fast" or "paper", which the file tells; windows are made as that network wants them.
@@ -67,7 +74,7 @@ class Classifier:
         """Load an ONNX file written by ``depthmocap train classifier``; the packaged one by default.
 
         Args:
-            threads: of the network; by default as many as this process may use.
+            threads: views labelled at a time; by default as many as this process may use cores.
 
         Raises:
             InputError: when the file is missing or not such a network.
@@ -75,8 +82,7 @@ class Classifier:
         import onnxruntime
 
         options = onnxruntime.SessionOptions()
-        # Zero lets the runtime choose, one thread a physical core.
-        options.intra_op_num_threads = threads or 0
+        options.intra_op_num_threads = 1
         options.log_severity_level = 3
         source = path or Path(str(importlib.resources.files("depthmocap.classify") / "weights" / "fast.onnx"))
         if not source.is_file():
@@ -86,50 +92,49 @@ class Classifier:
         except Exception as error:  # the runtime's errors share no public base class
             raise InputError(f"{source} is not a readable ONNX network: {str(error).splitlines()[0]}") from None
         names = [node.name for node in self._session.get_inputs()], [node.name for node in self._session.get_outputs()]
-        if names[0] != ["windows"] or names[1] not in (["logits"], ["logits", "joints"]):
+        name = self._session.get_modelmeta().custom_metadata_map.get("network")
+        if names[0] != ["windows"] or name is None:
             raise InputError(f"{source} is not a depthmocap classifier: its inputs and outputs are {names}")
-        name = self._session.get_modelmeta().custom_metadata_map.get("network", "fast")
-        if name not in WINDOW_MAKERS:
+        old = name == "fast" and names[1] in (["logits"], ["logits", "joints"])
+        if names[1] != _OUTPUTS.get(name) and not old:
+            known = ", ".join(f"{each!r} with {' and '.join(outputs)}" for each, outputs in _OUTPUTS.items())
             raise InputError(
-                f"{source} holds a network {name!r}, and this version knows {', '.join(WINDOW_MAKERS)}: "
-                "update depthmocap, or train the classifier anew"
+                f"{source} holds a network {name!r} with {' and '.join(names[1])}, and this version knows {known}: "
+                "update depthmocap, or export the classifier anew"
             )
         self.path, self.network, self.tells_joints = source, name, "joints" in names[1]
         self.make_window: WindowMaker = WINDOW_MAKERS[name]
-        self._read = _READERS[name]
+        self._read = label_pixels if old else _READERS[name]
+        self._pool = ThreadPoolExecutor(threads or usable_cores())
 
-    def label_windows(self, windows: Sequence[Window]) -> list[FoundInWindow]:
-        """What is found in windows, in one call of the network; labels are 0 where a window has no person."""
-        if not windows:
-            return []
-        outputs = self._session.run(None, {"windows": np.stack([window.inputs for window in windows])})
-        logits, joints = np.asarray(outputs[0]), [_no_joints()] * len(windows)
-        if len(outputs) > 1:
-            joints = list(np.asarray(outputs[1], np.float64))
-        results = []
-        for window, output, places in zip(windows, logits, joints, strict=True):
-            mask = window.inputs[1] > 0
-            labels, confidence = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
-            self._read(output, mask, labels, confidence)
-            results.append(FoundInWindow(labels, confidence, places))
-        return results
+    def label_window(self, window: Window) -> FoundInWindow:
+        """What is found in a window; labels are 0 where it shows no person."""
+        outputs = self._session.run(None, {"windows": window.inputs[None]})
+        mask = window.inputs[1] > 0
+        labels, confidence = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
+        scores = np.asarray(outputs[0])
+        self._read(scores if self._read is label_groups else scores[0], mask, labels, confidence)
+        joints = np.asarray(outputs[1], np.float64)[0] if self.tells_joints else _no_joints()
+        return FoundInWindow(labels, confidence, joints)
+
+    def label_mask(self, view: View, mask: Bool[ndarray, "_ _"]) -> LabelledMask:
+        """What is found in a view, and the window it comes from."""
+        window = self.make_window(view.depth_m, mask, view.camera)
+        if window is None:
+            nothing = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
+            return LabelledMask(Found(*nothing, _no_joints()), None, None)
+        inside = self.label_window(window)
+        labels, confidence = window.labels_to_image(inside.labels, inside.confidence, mask)
+        joints = inside.joints
+        if self.tells_joints:
+            places = window.places_to_world(joints[:, :3], view.camera)
+            joints = np.concatenate([places, np.exp(joints[:, 3:])], 1)
+        return LabelledMask(Found(labels, confidence, joints), window, inside)
 
     def label_masks(self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]) -> Iterator[LabelledMask]:
-        """What is found in every view, in order, and the windows it comes from; one call of the network."""
-        windows = [self.make_window(view.depth_m, mask, view.camera) for view, mask in zip(views, masks, strict=True)]
-        found = iter(self.label_windows([window for window in windows if window is not None]))
-        for window, view, mask in zip(windows, views, masks, strict=True):
-            if window is None:
-                nothing = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
-                yield LabelledMask(Found(*nothing, _no_joints()), None, None)
-            else:
-                inside = next(found)
-                labels, confidence = window.labels_to_image(inside.labels, inside.confidence, mask)
-                joints = inside.joints
-                if self.tells_joints:
-                    places = window.places_to_world(joints[:, :3], view.camera)
-                    joints = np.concatenate([places, np.exp(joints[:, 3:])], 1)
-                yield LabelledMask(Found(labels, confidence, joints), window, inside)
+        """What is found in every view, in order, and the windows it comes from."""
+        pairs = list(zip(views, masks, strict=True))
+        return self._pool.map(lambda pair: self.label_mask(*pair), pairs)
 
     def label_views(self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]) -> list[Found]:
         """What is found in every view: labels are 0 and joints NaN where nobody is."""

@@ -14,6 +14,7 @@ from rich.progress import Progress
 from scipy.spatial.transform import Rotation
 
 from depthmocap.classify.runtime import Classifier
+from depthmocap.cores import usable_cores
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import Outputs, about, write_outputs
 from depthmocap.evaluate.synthetic import Labels, measure, print_numbers
@@ -22,7 +23,7 @@ from depthmocap.geometry import DepthCamera
 from depthmocap.pose.estimate import load_estimator
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.motion.postures import ClipPostures, posture_source
-from depthmocap.synth.output.stream import stream, usable_cores
+from depthmocap.synth.output.stream import stream
 from depthmocap.synth.sample import BENCH, Recipe
 
 

@@ -26,12 +26,12 @@ from rich.progress import (
 from rich.text import Text
 
 from depthmocap import __version__
+from depthmocap.cores import usable_cores
 from depthmocap.errors import InputError
 from depthmocap.export.output import writing
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.output.card import CardRow, card_stride, write_card
 from depthmocap.synth.output.lock import folder_lock
-from depthmocap.synth.output.stream import usable_cores
 from depthmocap.synth.output.units import Folder, Layout, Made, Unit, describing_units, make_unit, open_folder
 from depthmocap.synth.output.workers import ordered
 from depthmocap.synth.sample import Recipe

@@ -5,19 +5,11 @@ from __future__ import annotations
 import contextlib
 import functools
 import itertools
-import os
 from collections.abc import Iterator
 
 from depthmocap.errors import InputError
 from depthmocap.synth.output.workers import ordered
 from depthmocap.synth.sample import Recipe, Sample, Sampler
-
-
-def usable_cores() -> int:
-    """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def stream(
