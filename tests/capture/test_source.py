@@ -1,5 +1,6 @@
 """The contract that every camera keeps, on sources without hardware."""
 
+import contextlib
 import threading
 import time
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from depthmocap.capture import source as capture_source
 from depthmocap.capture.cameras import find_cameras, make_sources, open_camera
 from depthmocap.capture.recorded import Pace, RecordedCamera, SyntheticCamera, SyntheticScene
 from depthmocap.capture.recording import Recording, RecordingWriter
@@ -109,6 +111,72 @@ def test_a_camera_that_dies_is_told_where_frames_are_asked_for(failure: Exceptio
         source.failure = failure  # pyright: ignore[reportAttributeAccessIssue]
         with pytest.raises(CameraError, match="unplugged"):
             source.read_latest(5000.0)
+
+
+def test_a_camera_that_stays_silent_is_lost() -> None:
+    with Scripted() as source:
+        source.patience_s = 0.05
+        with pytest.raises(NoFrame):
+            source.read()
+        with pytest.raises(CameraError, match=r"lost.*unplugged") as caught:
+            for _ in range(100):
+                with contextlib.suppress(NoFrame):
+                    source.read()
+        assert not isinstance(caught.value, NoFrame)
+        source.frames = [1]  # pyright: ignore[reportAttributeAccessIssue]
+        assert source.read() is not None  # patience begins anew
+        with pytest.raises(NoFrame):
+            source.read()
+
+
+class Hanging(Scripted):
+    """Hangs when it is opened or closed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.go_on = {"open": threading.Event(), "close": threading.Event()}
+
+    def _open(self) -> DepthCamera:
+        self.go_on["open"].wait(10)
+        return super()._open()
+
+    def _close(self) -> None:
+        self.go_on["close"].wait(10)
+        super()._close()
+
+
+def test_a_call_that_hangs_is_left_behind_and_undone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(capture_source, "OPEN_S", 0.05)
+    monkeypatch.setattr(capture_source, "CLOSE_S", 0.05)
+    source = Hanging()
+    with pytest.raises(CameraError, match="hangs in a call"):
+        source.__enter__()
+    with pytest.raises(CameraError, match="stuck in a call"):  # a second call on top would make it worse
+        source.__enter__()
+    source.go_on["open"].set()
+    source.go_on["close"].set()
+    end = time.monotonic() + 5
+    while not source.closed and time.monotonic() < end:
+        time.sleep(0.001)
+    assert source.closed == 1  # what was opened too late does not stay open
+    source.go_on["close"].clear()
+    begun = time.monotonic()
+    while time.monotonic() < end:
+        with contextlib.suppress(CameraError), source:  # once the thread has gone, it opens; leaving does not hang
+            break
+    assert time.monotonic() - begun < 4
+    with pytest.raises(CameraError, match="stuck in a call"):
+        source.__enter__()
+    source.go_on["close"].set()
+
+
+def test_what_opening_raises_comes_through() -> None:
+    class Broken(Scripted):
+        def _open(self) -> DepthCamera:
+            raise CameraError("no permission")
+
+    with pytest.raises(CameraError, match="no permission"):
+        Broken().__enter__()
 
 
 def test_the_end_of_a_recording_ends_read_latest(recording: Recording) -> None:

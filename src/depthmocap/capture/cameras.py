@@ -19,6 +19,9 @@ from depthmocap.errors import InputError
 BACK_ENDS = {
     "realsense": "depthmocap.capture.realsense",
     "azure": "depthmocap.capture.azure_kinect",
+    "orbbec": "depthmocap.capture.orbbec",
+    "kinect2": "depthmocap.capture.kinect2",
+    "openni": "depthmocap.capture.openni",
 }
 SYNTHETIC = "synthetic"
 

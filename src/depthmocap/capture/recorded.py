@@ -47,6 +47,8 @@ class Pace:
 class RecordedCamera(DepthSource):
     """One camera of a recording. A frame that cannot be read is left out, as if it had been lost."""
 
+    patience_s = float("inf")  # a gap was recorded as it was
+
     def __init__(self, recording: Recording, name: str, pace: Pace | None = None) -> None:
         """Raises CameraError when the recording has no such camera, or no frame of it."""
         super().__init__(name)
@@ -118,6 +120,8 @@ class SyntheticScene:
 
 class SyntheticCamera(DepthSource):
     """One camera of a synthetic scene."""
+
+    patience_s = float("inf")
 
     def __init__(self, scene: SyntheticScene, name: str, pace: Pace | None = None) -> None:
         """Raises CameraError when the scene has no such camera."""

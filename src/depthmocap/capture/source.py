@@ -12,11 +12,13 @@ generator are sources like any other.
 from __future__ import annotations
 
 import abc
+import contextlib
 import dataclasses
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import TracebackType
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import UInt16
@@ -27,10 +29,18 @@ from depthmocap.geometry import DepthCamera, Rig
 
 #: How long the reading thread waits for a frame before it looks whether it shall stop.
 _POLL_S = 0.5
+#: Calls that open and close a device are waited for so long; an SDK that hangs must not hang the program.
+OPEN_S, CLOSE_S = 10.0, 3.0
+
+_Result = TypeVar("_Result")
 
 
 class CameraError(InputError):
     """A camera cannot be used, or was lost. The message says why, and what to do."""
+
+
+class _Hangs(CameraError):  # noqa: N818
+    """A call of an SDK does not return."""
 
 
 class NoFrame(CameraError):  # noqa: N818 - nothing is wrong yet
@@ -74,14 +84,18 @@ class DepthSource(abc.ABC):
     Attributes:
         name: of the camera in the rig and in recordings.
         up: the world's up axis, where the source knows where it stands.
+        patience_s: a camera that gives nothing for longer than this is lost, because SDKs do not tell of a pulled plug.
     """
 
     up: str = "z"
+    patience_s: float = 5.0
 
     def __init__(self, name: str) -> None:
         self.name = name
         self._camera: DepthCamera | None = None
         self._pump: _Pump | None = None
+        self._stuck: threading.Thread | None = None
+        self._silent_s = 0.0
 
     @abc.abstractmethod
     def _open(self) -> DepthCamera:
@@ -114,7 +128,10 @@ class DepthSource(abc.ABC):
     def __enter__(self) -> DepthSource:
         if self._camera is not None:
             raise CameraError(f"camera {self.name!r} is open already: close it first")
-        self._camera = self._open()
+        if self._stuck is not None and self._stuck.is_alive():
+            raise CameraError(f"camera {self.name!r} is stuck in a call of its SDK: unplug it and plug it in again")
+        self._camera = self._within(OPEN_S, self._open, self._close)
+        self._silent_s = 0.0
         return self
 
     def __exit__(
@@ -125,7 +142,59 @@ class DepthSource(abc.ABC):
             self._pump = None
         if self._camera is not None:
             self._camera = None
-            self._close()
+            with contextlib.suppress(_Hangs):  # left behind: it is told when the camera is opened again
+                self._within(CLOSE_S, self._close)
+
+    def _within(self, limit_s: float, call: Callable[[], _Result], undo: Callable[[], None] | None = None) -> _Result:
+        """What ``call`` returns or raises. After ``limit_s`` it is left behind, and undone should it return later."""
+        outcome: list[tuple[_Result | None, BaseException | None]] = []
+        left, lock = False, threading.Lock()
+
+        def run() -> None:
+            result, error = None, None
+            try:
+                result = call()
+            except BaseException as raised:  # raised again where it was called
+                error = raised
+            with lock:
+                outcome.append((result, error))
+                if not left:
+                    return
+            if error is None and undo is not None:
+                undo()
+
+        # A daemon, because a call of an SDK that never returns must not keep the process alive.
+        thread = threading.Thread(target=run, name=f"call for {self.name}", daemon=True)
+        thread.start()
+        try:
+            thread.join(limit_s)
+        finally:  # Ctrl-C as well
+            with lock:
+                left = not outcome
+        if left:
+            self._stuck = thread
+            raise _Hangs(
+                f"camera {self.name!r} hangs in a call of its SDK ({limit_s:.0f} s): unplug it and plug it in again"
+            )
+        result, error = outcome[0]
+        if error is not None:
+            raise error
+        return result  # pyright: ignore[reportReturnType]
+
+    def _patiently(self, timeout_s: float) -> DepthFrame | None:
+        """What ``_read`` gives; a camera that was silent for longer than its patience is lost."""
+        begun_s = time.monotonic()
+        try:
+            frame = self._read(timeout_s)
+        except NoFrame as error:
+            self._silent_s += time.monotonic() - begun_s  # only while somebody listened
+            if self._silent_s > self.patience_s:
+                raise CameraError(
+                    f"camera {self.name!r} was lost: no frame for {self._silent_s:.0f} s; was it unplugged?"
+                ) from error
+            raise
+        self._silent_s = 0.0
+        return frame
 
     def read(self, timeout_s: float = 2.0) -> DepthFrame | None:
         """The next frame, or None at the end of a recording.
@@ -137,7 +206,7 @@ class DepthSource(abc.ABC):
         _ = self.camera
         if self._pump is not None:
             raise CameraError(f"camera {self.name!r} is read by read_latest: do not iterate over it as well")
-        return self._read(timeout_s)
+        return self._patiently(timeout_s)
 
     def __iter__(self) -> Iterator[DepthFrame]:
         while (frame := self.read()) is not None:
@@ -174,7 +243,7 @@ class _Pump:
     def _run(self) -> None:
         while not self._stopping:
             try:
-                frame = self._source._read(_POLL_S)
+                frame = self._source._patiently(_POLL_S)
             except NoFrame:
                 continue
             except CameraError as error:

@@ -1,0 +1,113 @@
+"""Orbbec cameras (Femto, Gemini, Astra) through ``pyorbbecsdk2``.
+
+Written from the SDK's documentation and the signatures of its package; untested on hardware. Timestamps are by the
+camera's own clock.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from depthmocap.capture.lens import five_coefficients
+from depthmocap.capture.sdk import Make, checked, nearest_mode
+from depthmocap.capture.source import CameraError, DepthFrame, DepthSource, FoundCamera, NoFrame
+from depthmocap.geometry import DepthCamera
+
+MAKE = Make("orbbec", "Orbbec camera", "pyorbbecsdk2", "pyorbbecsdk", lambda usb: usb.vendor == 0x2BC5)
+#: A camera's first frame tells the depth scale; it may take so long.
+_FIRST_S = 5.0
+#: The SDK's names of the lens models that ``five_coefficients`` covers.
+_LENSES = ("NONE", "BROWN_CONRADY", "BROWN_CONRADY_K6")
+
+
+def _devices(sdk: Any) -> tuple[Any, list[str]]:
+    """The SDK's list of devices, and their serial numbers."""
+    devices = sdk.Context().query_devices()
+    return devices, [devices.get_device_serial_number_by_index(index) for index in range(devices.get_count())]
+
+
+def find() -> list[FoundCamera]:
+    """The connected cameras, on USB and in the network."""
+    devices, serials = _devices(MAKE.load())
+    return MAKE.found([(serial, devices.get_device_name_by_index(i)) for i, serial in enumerate(serials)])
+
+
+def make(name: str, address: str) -> DepthSource:
+    """The camera with this serial number, or the first."""
+    return OrbbecCamera(name, address)
+
+
+class OrbbecCamera(DepthSource):
+    """One camera's depth, at the 16-bit mode nearest to the wanted size and rate."""
+
+    def __init__(self, name: str, serial: str = "") -> None:
+        super().__init__(name)
+        self._serial = serial
+
+    def _open(self) -> DepthCamera:
+        sdk = self._sdk = MAKE.load()
+        devices, serials = _devices(sdk)
+        index = MAKE.choose(serials, self._serial)
+        self._serial = serials[index]
+        try:
+            self._pipeline = sdk.Pipeline(devices.get_device_by_index(index))
+            profile = self._mode(self._pipeline.get_stream_profile_list(sdk.OBSensorType.DEPTH_SENSOR))
+            config = sdk.Config()
+            config.enable_stream(profile)
+            self._pipeline.start(config)
+        except (sdk.OBError, RuntimeError) as error:
+            raise MAKE.failed(self.name, error, self._serial) from None
+        try:
+            first = self._frame(_FIRST_S)
+            camera = self._describe(profile, first)
+        except CameraError:
+            self._close()
+            raise
+        self._waiting: Any = first
+        return camera
+
+    def _mode(self, profiles: Any) -> Any:
+        formats = (self._sdk.OBFormat.Y16, self._sdk.OBFormat.Z16)
+        every = [profiles.get_stream_profile_by_index(i) for i in range(profiles.get_count())]
+        depth = [each.as_video_stream_profile() for each in every if each.get_format() in formats]
+        if not depth:
+            raise CameraError(f"camera {self.name!r} has no 16-bit depth stream")
+        return depth[nearest_mode([(each.get_width(), each.get_height(), each.get_fps()) for each in depth])]
+
+    def _describe(self, profile: Any, frame: Any) -> DepthCamera:
+        intrinsic, lens = profile.get_intrinsic(), profile.get_distortion()
+        eight = np.array([getattr(lens, each) for each in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")], np.float64)
+        model = getattr(lens, "model", None)  # the package's first versions do not tell it
+        if model is not None and model.name not in _LENSES and eight.any():
+            raise CameraError(f"camera {self.name!r} has the lens model {model.name}: expected Brown-Conrady")
+        # The SDK's scale is millimetres a unit.
+        return checked(DepthCamera(
+            self.name, frame.get_width(), frame.get_height(), intrinsic.fx, intrinsic.fy, intrinsic.cx, intrinsic.cy,
+            distortion=five_coefficients(eight), depth_unit_m=frame.get_depth_scale() / 1000,
+        ))  # fmt: skip
+
+    def _frame(self, timeout_s: float) -> Any:
+        """The SDK's next depth frame."""
+        until = time.monotonic() + timeout_s
+        while (left_s := until - time.monotonic()) > 0:
+            try:
+                frames = self._pipeline.wait_for_frames(max(1, round(left_s * 1e3)))
+            except (self._sdk.OBError, RuntimeError) as error:
+                raise CameraError(f"camera {self.name!r} was lost: {error}") from None
+            if frames is not None and (depth := frames.get_depth_frame()) is not None:
+                return depth
+        raise NoFrame(f"camera {self.name!r} gave no frame for {timeout_s:.1f} s: is it still connected?")
+
+    def _read(self, timeout_s: float) -> DepthFrame | None:
+        frame, self._waiting = self._waiting or self._frame(timeout_s), None
+        arrival_ns = time.monotonic_ns()
+        size = frame.get_height(), frame.get_width()
+        raw = np.array(frame.get_data()).view(np.uint16).reshape(size)  # a copy: the SDK reuses its buffers
+        clock = f"orbbec {self._serial} device"
+        return DepthFrame(self.name, raw, frame.get_timestamp_us() * 1000, clock, arrival_ns, frame.get_index())
+
+    def _close(self) -> None:
+        self._pipeline.stop()

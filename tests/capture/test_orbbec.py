@@ -1,0 +1,224 @@
+"""The Orbbec back end against a fake of the SDK's interface, whose names are those of its package."""
+
+import types
+from typing import Any
+
+import numpy as np
+import pytest
+
+from depthmocap.capture import orbbec
+from depthmocap.capture.orbbec import OrbbecCamera, find
+from depthmocap.capture.source import CameraError, NoFrame
+
+WIDTH, HEIGHT = 640, 576
+
+
+class FakeError(Exception):
+    """OBError."""
+
+
+class Profile:
+    """A mode; also what ``as_video_stream_profile`` gives."""
+
+    model = "BROWN_CONRADY_K6"
+    fx = 504.0
+
+    def __init__(self, width: int, height: int, rate: int, form: str = "Y16") -> None:
+        self.mode = width, height, rate
+        self.form = form
+
+    def as_video_stream_profile(self) -> "Profile":
+        return self
+
+    def get_format(self) -> str:
+        return self.form
+
+    def get_width(self) -> int:
+        return self.mode[0]
+
+    def get_height(self) -> int:
+        return self.mode[1]
+
+    def get_fps(self) -> int:
+        return self.mode[2]
+
+    def get_intrinsic(self) -> Any:
+        return types.SimpleNamespace(fx=self.fx, fy=505.0, cx=320.5, cy=288.5, width=self.mode[0], height=self.mode[1])
+
+    def get_distortion(self) -> Any:
+        lens = dict(k1=0.52, k2=-0.02, k3=0.006, k4=0.86, k5=0.105, k6=0.0, p1=1e-4, p2=-2e-5)
+        return types.SimpleNamespace(model=types.SimpleNamespace(name=self.model), **lens)
+
+
+class Frame:
+    buffer = np.zeros((HEIGHT, WIDTH), np.uint16)
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+    def get_data(self) -> np.ndarray:
+        self.buffer[:] = self.number  # the same memory every time, as the SDK has it
+        self.buffer[0, 1] = 0x1234
+        return self.buffer.view(np.uint8).ravel()
+
+    def get_width(self) -> int:
+        return WIDTH
+
+    def get_height(self) -> int:
+        return HEIGHT
+
+    def get_depth_scale(self) -> float:
+        return 0.25
+
+    def get_timestamp_us(self) -> int:
+        return 33_333 * self.number
+
+    def get_index(self) -> int:
+        return self.number
+
+
+class Fake:
+    """Context, list of devices, device, pipeline, configuration and list of profiles in one; gives ``count`` frames."""
+
+    serials: tuple[str, ...] = ("one", "two")
+    profiles = (
+        Profile(1024, 1024, 15), Profile(WIDTH, HEIGHT, 30, "RLE"), Profile(WIDTH, HEIGHT, 5),
+        Profile(WIDTH, HEIGHT, 30), Profile(320, 288, 30),
+    )  # fmt: skip
+    start_error = lost = ""
+    count = 3
+
+    def __init__(self, device: Any = None) -> None:
+        self.device, self.number, self.running = device, 0, False
+        self.enabled: Any = None
+
+    def query_devices(self) -> "Fake":
+        return self
+
+    def get_count(self) -> int:
+        return len(self.serials)
+
+    def get_device_serial_number_by_index(self, index: int) -> str:
+        return self.serials[index]
+
+    def get_device_name_by_index(self, index: int) -> str:
+        return "Femto Bolt"
+
+    def get_device_by_index(self, index: int) -> str:
+        return self.serials[index]
+
+    def get_stream_profile_list(self, sensor: str) -> Any:
+        assert sensor == "depth"
+        own = self.profiles
+        return types.SimpleNamespace(get_count=lambda: len(own), get_stream_profile_by_index=lambda i: own[i])
+
+    def enable_stream(self, profile: Profile) -> None:
+        self.enabled = profile
+
+    def start(self, config: "Fake") -> None:
+        if self.start_error:
+            raise FakeError(self.start_error)
+        assert config.enabled is self.profiles[3]
+        self.running = True
+        Fake.last = self
+
+    def stop(self) -> None:
+        self.running = False
+
+    def wait_for_frames(self, timeout_ms: int) -> Any:
+        assert self.running
+        if self.lost:
+            raise FakeError(self.lost)
+        self.number += 1
+        number = self.number // 2  # every second set has no depth
+        if number > self.count:
+            return None
+        depth = Frame(number) if self.number % 2 == 0 else None
+        return types.SimpleNamespace(get_depth_frame=lambda: depth)
+
+    last: "Fake"
+
+
+@pytest.fixture
+def sdk(monkeypatch: pytest.MonkeyPatch) -> Any:
+    names = types.SimpleNamespace
+    fake = names(
+        Context=Fake, Pipeline=Fake, Config=Fake, OBError=FakeError, OBSensorType=names(DEPTH_SENSOR="depth"),
+        OBFormat=names(Y16="Y16", Z16="Z16"),
+    )  # fmt: skip
+    monkeypatch.setitem(__import__("sys").modules, "pyorbbecsdk", fake)
+    return fake
+
+
+def test_frames_as_the_device_gave_them(sdk: Any) -> None:
+    with OrbbecCamera("left", "two") as source:
+        camera = source.camera
+        assert Fake.last.device == "two"
+        assert (camera.width, camera.height, camera.fx, camera.cy) == (WIDTH, HEIGHT, 504.0, 288.5)
+        assert camera.depth_unit_m == pytest.approx(0.00025)
+        assert camera.distortion[2:4] == (1e-4, -2e-5)
+        frames = [source.read(0.5) for _ in range(3)]
+        assert [frame and frame.timestamp_ns for frame in frames] == [33_333_000, 66_666_000, 99_999_000]
+        assert [frame and frame.number for frame in frames] == [1, 2, 3]
+        assert [frame and int(frame.raw[5, 5]) for frame in frames] == [1, 2, 3]  # copies: the SDK reuses its memory
+        assert frames[0] is not None
+        assert (frames[0].raw.shape, int(frames[0].raw[0, 1])) == ((HEIGHT, WIDTH), 0x1234)
+        assert frames[0].clock == "orbbec two device"
+        with pytest.raises(NoFrame, match="still connected"):
+            source.read(0.05)
+    assert not Fake.last.running
+
+
+def test_lenses_of_other_models(sdk: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Profile, "model", "KANNALA_BRANDT4")
+    with pytest.raises(CameraError, match="lens model KANNALA_BRANDT4"):
+        OrbbecCamera("left").__enter__()
+    assert not Fake.last.running  # it was started, and must not stay so
+    zeros = dict.fromkeys(("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"), 0.0)
+    none = types.SimpleNamespace(model=types.SimpleNamespace(name="KANNALA_BRANDT4"), **zeros)
+    monkeypatch.setattr(Profile, "get_distortion", lambda self: none)
+    with OrbbecCamera("left") as source:
+        assert not any(source.camera.distortion)
+    old = types.SimpleNamespace(**zeros | {"k1": 0.25})  # as of version 2.0 of the package
+    monkeypatch.setattr(Profile, "get_distortion", lambda self: old)
+    with OrbbecCamera("left") as source:
+        assert source.camera.distortion == (0.25, 0, 0, 0, 0)
+
+
+def test_what_is_wrong_is_told(sdk: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert [(camera.spec, camera.model) for camera in find()] == [
+        ("orbbec:one", "Femto Bolt"), ("orbbec:two", "Femto Bolt")
+    ]  # fmt: skip
+    with pytest.raises(CameraError, match="serial number three: connected are one, two"):
+        OrbbecCamera("left", "three").__enter__()
+    with OrbbecCamera("left") as source:
+        source.read(0.5)
+        monkeypatch.setattr(Fake, "lost", "usb gone")
+        with pytest.raises(CameraError, match="was lost: usb gone"):
+            source.read(0.5)
+    monkeypatch.setattr(Fake, "lost", "")
+    for said, told in (
+        ("device is busy", "in use: close the other program"),
+        ("permission denied", "may not use .* udev rules"),
+        ("no idea", r"cannot be started.*\(no idea\)"),
+    ):
+        monkeypatch.setattr(Fake, "start_error", said)
+        with pytest.raises(CameraError, match=told):
+            OrbbecCamera("left").__enter__()
+    monkeypatch.setattr(Fake, "start_error", "")
+    monkeypatch.setattr(Profile, "fx", float("nan"))
+    with pytest.raises(CameraError, match="no usable calibration"):
+        OrbbecCamera("left").__enter__()
+    monkeypatch.setattr(Fake, "profiles", (Profile(WIDTH, HEIGHT, 30, "RLE"),))
+    with pytest.raises(CameraError, match="no 16-bit depth"):
+        OrbbecCamera("left").__enter__()
+    monkeypatch.setattr(Fake, "count", 0)
+    monkeypatch.setattr(orbbec, "_FIRST_S", 0.02)
+    with pytest.raises(CameraError):
+        OrbbecCamera("left").__enter__()
+    monkeypatch.setattr(Fake, "serials", ("one", "one"))
+    with pytest.raises(CameraError, match="2 cameras of the kind orbbec have the serial number one"):
+        OrbbecCamera("left", "one").__enter__()
+    monkeypatch.setattr(Fake, "serials", ())
+    with pytest.raises(CameraError, match="no Orbbec camera is connected"):
+        OrbbecCamera("left").__enter__()
