@@ -16,9 +16,8 @@ from depthmocap.classify.preprocess import Window, make_window
 from depthmocap.errors import InputError
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.synth.motion.postures import PostureSource
-from depthmocap.synth.people.bodies import random_dressed
 from depthmocap.synth.render import Material, PosedPerson, Rendering, render_person
-from depthmocap.synth.sample import CameraRange, Subset, random_camera
+from depthmocap.synth.sample import CameraRange, Subset, random_camera, random_person
 from depthmocap.synth.scenes.scene import TRAINING, random_scene, render_scene
 from depthmocap.synth.sensing.sensor import sense
 from depthmocap.synth.sensing.sensors import random_model, random_preset
@@ -122,7 +121,7 @@ def training_window(
 def _person(seed: int, number: int, attempt: int, subset: Subset, postures: PostureSource) -> PosedPerson:
     """Whom the windows of a number share."""
     rng = np.random.default_rng([seed, number, attempt, 1])
-    return random_dressed(rng, subset).pose(postures.sample(rng)[0])
+    return random_person(rng, subset, postures)
 
 
 def _cropped(camera: DepthCamera, person: PosedPerson) -> DepthCamera | None:
@@ -151,9 +150,7 @@ def _background(
         return None
     depth = material = None
     if rng.random() < spoiling.scene:
-        scene = random_scene(
-            rng, person, [camera], TRAINING, lambda rng: random_dressed(rng, "open").pose(postures.sample(rng)[0])
-        )
+        scene = random_scene(rng, person, [camera], TRAINING, lambda rng: random_person(rng, "open", postures))
         depth, material = render_scene(scene, camera)
     if rng.random() < spoiling.floor:
         floor = _floor(camera, person.lowest_m)

@@ -177,6 +177,11 @@ def see(person: PosedPerson, scene: Scene | None, camera: DepthCamera) -> Render
     return render_person(person, camera, *background)
 
 
+def random_person(rng: np.random.Generator, subset: Subset, postures: PostureSource) -> PosedPerson:
+    """Somebody of a subset in any posture."""
+    return random_dressed(rng, subset).pose(postures.sample(rng)[0])
+
+
 def draw_sample(rng: np.random.Generator, recipe: Recipe, postures: PostureSource) -> Sample:
     """One call of the paper's SAMPLE. Labels are exact; masks are the person's pixels (clothes and hair included)
     where the depth is valid."""
@@ -187,11 +192,9 @@ def draw_sample(rng: np.random.Generator, recipe: Recipe, postures: PostureSourc
         random_camera(rng, person.body, recipe.cameras, preset, f"Cam{i + 1}") for i, preset in enumerate(presets)
     ]
     settings = SCENE_PRESETS[recipe.scene]
-
-    def another(rng: np.random.Generator) -> PosedPerson:
-        return random_dressed(rng, "open").pose(postures.sample(rng)[0])
-
-    scene = None if settings == OFF else random_scene(rng, person, cameras, settings, another)
+    scene = None
+    if settings != OFF:
+        scene = random_scene(rng, person, cameras, settings, lambda rng: random_person(rng, "open", postures))
     views = []
     for camera, preset in zip(cameras, presets, strict=True):
         rendering = see(person, scene, camera)
