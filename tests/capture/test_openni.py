@@ -3,6 +3,7 @@
 import contextlib
 import ctypes
 import sys
+import time
 import types
 from pathlib import Path
 from typing import Any
@@ -126,7 +127,7 @@ def package(monkeypatch: pytest.MonkeyPatch) -> Any:
     fake = types.SimpleNamespace(
         Device=Device, OpenNIError=FakeError, InitializationError=type("InitializationError", (Exception,), {}),
         PIXEL_FORMAT_DEPTH_1_MM=MM, PIXEL_FORMAT_DEPTH_100_UM=TENTHS, wait_for_any_stream=wait,
-        initialize=lambda folders=None: None,
+        initialize=lambda folders=None: None, unload=lambda: None,
     )  # fmt: skip
     monkeypatch.setitem(sys.modules, "openni", types.ModuleType("openni"))
     monkeypatch.setitem(sys.modules, "openni.openni2", fake)  # type: ignore
@@ -250,6 +251,14 @@ def test_openni_own_dummy_device(real: Any, monkeypatch: pytest.MonkeyPatch) -> 
         OpenNICamera("left", "Dummy").__enter__()
     monkeypatch.setattr(real.VideoStream, "get_horizontal_fov", lambda stream: 1.0)
     monkeypatch.setattr(real.VideoStream, "get_vertical_fov", lambda stream: 0.8)
+    close = real.VideoStream.close
+
+    def close_after_a_frame(stream: Any) -> None:
+        stream.stop()
+        time.sleep(0.1)  # the dummy's thread uses its stream for a frame longer than it may
+        close(stream)
+
+    monkeypatch.setattr(real.VideoStream, "close", close_after_a_frame)
     for _ in range(2):  # it can be opened again
         with OpenNICamera("left", "Dummy") as source:
             frames = [source.read(5.0) for _ in range(3)]

@@ -7,6 +7,7 @@ calibrate such a camera, or take the middle of the picture as it is taken here.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import math
 import os
@@ -50,6 +51,7 @@ def load() -> Any:
     try:
         with _LOCK:
             sdk.initialize(folders) if folders else sdk.initialize()
+            atexit.unregister(sdk.unload)  # it crashes with some drivers, and would wait for a device that hangs
     except (sdk.InitializationError, sdk.OpenNIError) as error:
         raise InputError(
             "OpenNI 2 itself was not found: install it (Debian: apt install libopenni2-dev), or set OPENNI2_REDIST to "
