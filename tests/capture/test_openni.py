@@ -251,14 +251,14 @@ def test_openni_own_dummy_device(real: Any, monkeypatch: pytest.MonkeyPatch) -> 
         OpenNICamera("left", "Dummy").__enter__()
     monkeypatch.setattr(real.VideoStream, "get_horizontal_fov", lambda stream: 1.0)
     monkeypatch.setattr(real.VideoStream, "get_vertical_fov", lambda stream: 0.8)
-    close = real.VideoStream.close
+    close = real.VideoStream._close
 
     def close_after_a_frame(stream: Any) -> None:
         stream.stop()
         time.sleep(0.1)  # the dummy's thread uses its stream for a frame longer than it may
         close(stream)
 
-    monkeypatch.setattr(real.VideoStream, "close", close_after_a_frame)
+    monkeypatch.setattr(real.VideoStream, "_close", close_after_a_frame)
     for _ in range(2):  # it can be opened again
         with OpenNICamera("left", "Dummy") as source:
             frames = [source.read(5.0) for _ in range(3)]
