@@ -17,6 +17,7 @@ from depthmocap.capture.recording import Recording
 from depthmocap.capture.segment import PersonSegmenter
 from depthmocap.frames import View
 from depthmocap.geometry.transforms import transform_points
+from depthmocap.people.segmenter import PeopleSegmenter
 from depthmocap.pipeline import STAGES, Pipeline
 from depthmocap.pose.cloud import LabelledView, merge_views
 from depthmocap.pose.estimate import RidgeEstimator, load_estimator
@@ -78,10 +79,10 @@ def _plain_joints(model: RidgePose, parts: list[LabelledView]) -> tuple[ndarray,
     points = np.concatenate(
         [
             transform_points(view.camera.world_from_camera, view.camera.unproject(view.depth_m, labels > 0))
-            for view, labels, _ in parts
+            for view, labels, *_ in parts
         ]
     )
-    regions = np.concatenate([labels[(labels > 0) & (view.depth_m > 0)] for view, labels, _ in parts])
+    regions = np.concatenate([labels[(labels > 0) & (view.depth_m > 0)] for view, labels, *_ in parts])
     centre = np.zeros(3) if model.absolute else np.median(points, axis=0)
     features = np.full((REGION_COUNT, FEATURES_PER_REGION), np.nan)
     for region in range(1, REGION_COUNT + 1):
@@ -136,7 +137,7 @@ def whole_pipeline(bench: Bench, recording: Path | None) -> None:
         return
     source = Recording(path)
     pipeline = Pipeline(
-        load_classifier(bench), load_estimator(), PersonSegmenter.from_recording(source), source.up, load_filter(AUTO)
+        load_classifier(bench), load_estimator(), PeopleSegmenter.from_recording(source), source.up, load_filter(AUTO)
     )
     sets = min(len(source), bench.warm_up + bench.runs)
     total, reading, stages = [], [], []

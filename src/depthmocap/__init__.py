@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from depthmocap.offline import open_source as open_source
     from depthmocap.offline import run as run
     from depthmocap.online.live import live as live
+    from depthmocap.online.live import live_people as live_people
     from depthmocap.pipeline import Pipeline as Pipeline
 
 __version__ = "0.1.0"
@@ -35,6 +36,7 @@ _LAZY = {
     "Pipeline": "depthmocap.pipeline",
     "Recording": "depthmocap.capture.recording",
     "live": "depthmocap.online.live",
+    "live_people": "depthmocap.online.live",
     "RunSettings": "depthmocap.offline",
     "load_pipeline": "depthmocap.offline",
     "open_source": "depthmocap.offline",
@@ -53,6 +55,7 @@ __all__ = [
     "RunSettings",
     "View",
     "live",
+    "live_people",
     "load_pipeline",
     "load_rig",
     "open_source",

@@ -20,13 +20,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.capture.mcap_recording import open_recording
 from depthmocap.capture.recording import Recording
-from depthmocap.capture.segment import PersonSegmenter
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.evaluate.metrics import joint_metrics
 from depthmocap.export import CsvWriter, write_bvh, write_trc
+from depthmocap.export.files import PeopleFiles, plain_json
 from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.offline_report import Pictures, write_run_report
+from depthmocap.people.segmenter import PeopleSegmenter
 from depthmocap.pipeline import STAGES, Pipeline, Result
 from depthmocap.pose.estimate import load_estimator
 from depthmocap.pose.track import AUTO, Bones, Smoothing, load_filter
@@ -40,6 +41,8 @@ class RunSettings:
         recording: a recording folder (rig.json and 16-bit PNGs per camera), an MCAP file or a section of UBC3V.
         out: folder for pose.csv, pose.trc, pose.bvh, summary.json and report.html.
         segment: "auto" finds the person in a static scene; "none" takes every valid pixel.
+        people: follow up to so many; with more than one, each has a folder ``person-N`` besides, and the files of
+            ``out`` are of the one who was followed first.
         smooth: a filter over time. "average" is the paper's weighted average of the last frames, "fixed-lag" waits for
             later ones; "auto" is "kalman" for recordings and "none" for UBC3V sections, whose frames do not follow
             each other.
@@ -55,6 +58,7 @@ class RunSettings:
     recording: tyro.conf.Positional[Path]
     out: Path
     segment: Literal["auto", "none"] = "auto"
+    people: int = 1
     smooth: Smoothing = "auto"
     lag_frames: int = 4
     bridge_s: float = 0.0
@@ -88,6 +92,7 @@ def load_pipeline(
     lag_frames: int = 4,
     bridge_s: float = 0.0,
     bones: Bones = "steady",
+    people: int = 1,
 ) -> Pipeline:
     """The pipeline for a source, its background learnt, with the packaged weights or your own (see RunSettings).
 
@@ -103,7 +108,7 @@ def load_pipeline(
     return Pipeline(
         Classifier(weights),
         load_estimator(estimator),
-        PersonSegmenter.from_recording(source, segment),
+        PeopleSegmenter.from_recording(source, segment, people),
         source.up,
         smoothing,
     )
@@ -124,7 +129,7 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     with console.status("reading the background and the weights"):
         pipeline = load_pipeline(
             source, settings.segment, settings.smooth, settings.weights, settings.estimator,
-            lag_frames=settings.lag_frames, bridge_s=settings.bridge_s, bones=settings.bones,
+            lag_frames=settings.lag_frames, bridge_s=settings.bridge_s, bones=settings.bones, people=settings.people,
         )  # fmt: skip
         # The first frame ever compiles the inner loops, which would be taken for the machine's speed.
         for frames in source:
@@ -144,7 +149,8 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
         TextColumn("capturing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
         TextColumn("{task.fields[rate]}"),
     )  # fmt: skip
-    with CsvWriter(settings.out / "pose.csv") as csv, Progress(*columns, console=console) as progress:
+    everybody = PeopleFiles(settings.out, source.up)
+    with CsvWriter(settings.out / "pose.csv") as csv, everybody, Progress(*columns, console=console) as progress:
         task = progress.add_task("capturing", total=len(source), rate="")
         recent_ms: collections.deque[float] = collections.deque(maxlen=30)
 
@@ -162,6 +168,8 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
                 read_ms = (time.perf_counter() - before) * 1e3
                 result = pipeline(frames)
                 waiting.append((frames, result, {"read": read_ms, **result.milliseconds}))
+                if settings.people > 1:
+                    everybody.write({person.number: person.pose for person in result.people}, delay)
                 if len(waiting) > delay:
                     finished(result.pose)
                 for view in frames.views:
@@ -172,6 +180,7 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
         except KeyboardInterrupt:
             interrupted = True
             console.print(f"stopped after {len(rows)} of {len(source)} frames; writing what was done")
+        everybody.finish(pipeline.finish_people())
         for pose in pipeline.finish():
             # An interruption may have come between the filter and this list.
             if waiting and waiting[0][0].timestamp_ns == pose.timestamp_ns:
@@ -185,8 +194,10 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     write_trc(settings.out / "pose.trc", poses, source.up)
     held = write_bvh(settings.out / "pose.bvh", poses, source.up)
     summary = _summary(settings, poses, truths, times, delivered, held, problems)
+    if settings.people > 1:
+        summary["frames_by_person"] = {str(number): count for number, count in sorted(everybody.poses.items())}
     summary |= {"interrupted": interrupted, "smoothing": pipeline.smoothing.describe() if pipeline.smoothing else None}
-    (settings.out / "summary.json").write_text(json.dumps(_plain(summary), indent=1) + "\n")
+    (settings.out / "summary.json").write_text(json.dumps(plain_json(summary), indent=1) + "\n")
     if pictures is not None:
         with console.status("drawing the report"):
             write_run_report(settings.out, summary, pictures, np.stack(truths), np.stack([p.joints for p in poses]))
@@ -197,15 +208,6 @@ def _recorded_rate(poses: list[Pose]) -> float:
     """Frames a second of the recording itself, by its median interval."""
     intervals = np.diff([pose.timestamp_ns for pose in poses])
     return float(1e9 / np.median(intervals)) if len(intervals) and np.median(intervals) > 0 else 30.0
-
-
-def _plain(value: Any) -> Any:
-    """The value with NaN as null, which JSON has no number for."""
-    if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def _summary(

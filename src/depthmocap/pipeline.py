@@ -6,17 +6,18 @@ before; replace one and keep the rest.
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import time
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, UInt8
 from numpy import ndarray
 
-from depthmocap.classify.runtime import Classifier
-from depthmocap.frames import FrameSet, Pose, View
+from depthmocap.classify.runtime import Classifier, Found
+from depthmocap.frames import FrameSet, Pose
+from depthmocap.people.segmenter import SeenPerson
 from depthmocap.pose.cloud import LabelledCloud, LabelledView, merge_views
 from depthmocap.pose.estimate import JointEstimator
 from depthmocap.pose.filter import PoseFilter
@@ -24,44 +25,73 @@ from depthmocap.pose.filter import PoseFilter
 STAGES = ("segment", "label", "merge", "joints", "smooth")
 
 
+class Segmenter(Protocol):
+    """Gives the people in a set of views, the one whose pose is wanted first; see ``PeopleSegmenter``."""
+
+    def __call__(self, frames: FrameSet) -> tuple[SeenPerson, ...]: ...
+
+    def reset(self) -> None:
+        """Forget who was there."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PersonResult:
+    """One person of a frame set: their number, which stays theirs, their pose, and what it was found in."""
+
+    number: int
+    pose: Pose
+    masks: tuple[Bool[ndarray, "_ _"], ...]
+    labels: tuple[UInt8[ndarray, "_ _"], ...]
+    cloud: LabelledCloud
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Result:
     """The pose of a frame set and everything found on the way to it.
 
     A filter that waits for later frames makes the pose that of an earlier one: its timestamp tells which.
+
+    Attributes:
+        pose: of the person who is followed; its masks, labels and cloud come next.
+        milliseconds: by stage, of everybody together.
+        people: everybody, the one who is followed first, each with a pose that was smoothed by itself.
     """
 
     pose: Pose
     masks: tuple[Bool[ndarray, "_ _"], ...]
     labels: tuple[UInt8[ndarray, "_ _"], ...]
     cloud: LabelledCloud
-    #: Milliseconds by stage.
     milliseconds: dict[str, float]
+    people: tuple[PersonResult, ...] = ()
 
 
 class Pipeline:
-    """Depth views to joints. Keeps state only for smoothing; :meth:`reset` forgets it."""
+    """Depth views to joints. Keeps state only for following people and for smoothing; :meth:`reset` forgets it."""
 
     def __init__(
         self,
         classifier: Classifier,
         estimator: JointEstimator,
-        segment: Callable[[View], Bool[ndarray, "_ _"]],
+        segment: Segmenter,
         up: str = "z",
         smoothing: PoseFilter | None = None,
     ) -> None:
         """
         Args:
-            segment: gives the person's mask of a view, e.g. a ``PersonSegmenter``.
+            segment: finds the people in a set of views, e.g. a ``PeopleSegmenter``.
             up: the world's up axis.
-            smoothing: a filter over time, of this pipeline alone (``pose.track.load_filter``); None for none.
+            smoothing: a filter over time, of this pipeline alone (``pose.track.load_filter``); None for none. Further
+                people get copies of it.
         """
         self._classifier, self._estimator, self.segment, self._up = classifier, estimator, segment, up
         self.smoothing = smoothing
-        self._pool = ThreadPoolExecutor(max_workers=4)
+        self._filters: dict[int, PoseFilter] = {}
 
     def reset(self) -> None:
-        """Forget past poses."""
+        """Forget past poses and who was there; what is known of the empty scene is kept."""
+        self.segment.reset()
+        self._filters.clear()
         if self.smoothing is not None:
             self.smoothing.reset()
 
@@ -69,26 +99,51 @@ class Pipeline:
         """The poses that a filter which waits has held back, at the end of a stream; forgets past poses."""
         return [] if self.smoothing is None else self.smoothing.finish()
 
+    def finish_people(self) -> dict[int, list[Pose]]:
+        """The same of everybody, by their numbers, where several people are followed."""
+        return {number: own.finish() for number, own in self._filters.items()}
+
     def __call__(self, frames: FrameSet) -> Result:
         """Process one frame set. Without a person (or a view) the joints are NaN and their confidence 0."""
         clock = [time.perf_counter()]
-        masks = list(self._pool.map(self.segment, frames.views))
+        seen = self.segment(frames)
+        nobody = tuple(np.zeros(view.depth_m.shape, np.bool_) for view in frames.views)
+        # Somebody is looked for even where nobody is, so that every set has a pose.
+        all_masks = [person.masks for person in seen] or [nobody]
         clock.append(time.perf_counter())
-        labelled = self._classifier.label_views(frames.views, masks)
+        views = frames.views * len(all_masks)
+        found = self._classifier.label_views(views, [mask for masks in all_masks for mask in masks])
         clock.append(time.perf_counter())
-        parts = [LabelledView(view, *found) for view, found in zip(frames.views, labelled, strict=True)]
-        cloud = merge_views(parts)
+        count = len(frames.views)
+        labelled = [found[i * count : (i + 1) * count] for i in range(len(all_masks))]
+        clouds = [self._merge(frames, own) for own in labelled]
         clock.append(time.perf_counter())
-        joints, confidence = self._estimator(cloud, self._up)
+        raw = [Pose(frames.timestamp_ns, *self._estimator(cloud, self._up)) for cloud in clouds]
         clock.append(time.perf_counter())
-        pose = Pose(frames.timestamp_ns, joints, confidence)
-        if self.smoothing is not None:
-            pose = self.smoothing(pose)
+        followed = raw[0] if self.smoothing is None else self.smoothing(raw[0])
+        poses = [self._smooth(person.number, pose, followed) for person, pose in zip(seen, raw, strict=False)]
         clock.append(time.perf_counter())
+        all_labels = [tuple(each.labels for each in own) for own in labelled]
+        people = [
+            PersonResult(person.number, poses[i], person.masks, all_labels[i], clouds[i])
+            for i, person in enumerate(seen)
+        ]
         return Result(
-            pose,
-            tuple(masks),
-            tuple(found.labels for found in labelled),
-            cloud,
+            followed, all_masks[0], all_labels[0], clouds[0],
             dict(zip(STAGES, (np.diff(clock) * 1e3).tolist(), strict=True)),
-        )
+            tuple(people),
+        )  # fmt: skip
+
+    def _merge(self, frames: FrameSet, found: list[Found]) -> LabelledCloud:
+        return merge_views([LabelledView(view, *each) for view, each in zip(frames.views, found, strict=True)])
+
+    def _smooth(self, number: int, pose: Pose, followed: Pose) -> Pose:
+        """A person's pose by a filter of their own; where one person is followed at most, that is the pipeline's."""
+        if self.smoothing is None:
+            return pose
+        if getattr(self.segment, "people", 1) == 1:
+            return followed
+        if number not in self._filters:
+            self._filters[number] = copy.deepcopy(self.smoothing)
+            self._filters[number].reset()
+        return self._filters[number](pose)

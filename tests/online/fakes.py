@@ -6,6 +6,7 @@ import numpy as np
 
 from depthmocap.classify.runtime import Found
 from depthmocap.geometry import DepthCamera, Rig, look_at
+from depthmocap.people.segmenter import PeopleSegmenter
 from depthmocap.pipeline import Pipeline
 
 
@@ -25,8 +26,9 @@ class FakeEstimator:
         return np.repeat(cloud.points_world.mean(0)[None].astype(np.float64), 18, 0), np.ones(18)
 
 
-def fake_pipeline(smoothing=None):
-    return Pipeline(FakeClassifier(), FakeEstimator(), lambda view: view.depth_m > 0, "z", smoothing)  # type: ignore
+def fake_pipeline(smoothing=None, people=1):
+    segment = PeopleSegmenter({}, mode="none", people=people)
+    return Pipeline(FakeClassifier(), FakeEstimator(), segment, "z", smoothing)  # type: ignore
 
 
 class Board:

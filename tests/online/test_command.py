@@ -18,9 +18,19 @@ from depthmocap.pose.track import load_filter
 SETS = 30
 
 
+class EmptyRoom:
+    """Finds nobody."""
+
+    def __call__(self, frames):
+        return ()
+
+    def reset(self):
+        pass
+
+
 @pytest.fixture
 def recording(tmp_path, monkeypatch):
-    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments: fake_pipeline())
+    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments, **others: fake_pipeline())
     scene, path = Board(2), tmp_path / "recording"
     with RecordingWriter(path, scene.rig) as writer:
         for i in range(SETS):
@@ -43,7 +53,8 @@ def test_as_fast_as_it_goes_every_set_becomes_a_pose(recording, tmp_path):
 
 
 def test_a_filter_that_waits_gives_every_pose_once(recording, tmp_path, monkeypatch):
-    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments: fake_pipeline(load_filter("fixed-lag")))
+    pipeline = fake_pipeline(load_filter("fixed-lag"))
+    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments, **others: pipeline)
     run_live(LiveSettings((recording,), out=tmp_path / "out"))
     np.testing.assert_allclose(read_csv(tmp_path / "out" / "pose.csv")[0], np.arange(SETS) * 0.04, atol=1e-6)
 
@@ -66,7 +77,7 @@ def test_an_interruption_leaves_complete_files(recording, tmp_path, monkeypatch)
         def finish(self):
             return []
 
-    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments: Interrupted())
+    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments, **others: Interrupted())
     summary = run_live(LiveSettings((recording,), out=tmp_path / "out"))
     assert summary["interrupted"]
     for read, name in ((read_csv, "pose.csv"), (read_trc, "pose.trc"), (read_bvh, "pose.bvh")):
@@ -88,8 +99,8 @@ def test_in_real_time_everything_is_recorded_once_the_cameras_are_open(recording
 
 def test_nobody_in_view_is_told(recording, tmp_path, monkeypatch):
     pipeline = fake_pipeline()
-    pipeline.segment = lambda view: np.zeros(view.depth_m.shape, bool)
-    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments: pipeline)
+    pipeline.segment = EmptyRoom()
+    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments, **others: pipeline)
     run_live(LiveSettings((recording,), out=tmp_path / "out"))
     assert "no person" in (tmp_path / "out" / "summary.json").read_text()
     assert len((tmp_path / "out" / "pose.csv").read_text().splitlines()) == SETS + 1

@@ -18,18 +18,12 @@ from numpy import ndarray
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, FrameSource, View
 from depthmocap.geometry import DepthCamera
+from depthmocap.people.background import FAR_M, estimate_background, limit_m
 
 Mode = Literal["auto", "none"]
 
 #: Frames that a background is estimated from, spread over the recording.
 SAMPLES = 45
-#: The share of a pixel's depths that are nearer than its background; the rest outvote stray far readings.
-FAR_QUANTILE = 0.88
-#: A pixel has a background if it is valid in most frames, or if this share of frames agrees on a depth; otherwise the
-#: room is out of range there, and what returns light is passing by.
-MOSTLY_VALID, LEAST_AGREED = 0.7, 0.3
-#: A person is nearer than the background by this, and by the noise of depth, which grows with its square.
-MARGIN_M, MARGIN_PER_M = 0.04, 0.004
 #: Neighbouring pixels further apart than this are of different surfaces.
 STEP_M = 0.15
 #: A stray pixel at a silhouette hangs at least this far behind one surface and before another.
@@ -43,7 +37,6 @@ SMALLEST_PART_M2, PART_REACH_M = 0.001, 0.6
 #: A standing person shows 0.4 m² or more. Less than this in most frames suggests that part of the body never moved.
 WHOLE_PERSON_M2 = 0.2
 
-_FAR = np.float32(1e6)
 _BOX = np.ones((3, 3), np.uint8)
 
 
@@ -55,6 +48,7 @@ class PersonSegmenter:
     its own mask, that is the answer.
 
     Attributes:
+        backgrounds_m: the empty scenes, given or estimated, by camera.
         problems: what makes good masks unlikely, one line each, with the way out.
     """
 
@@ -62,7 +56,8 @@ class PersonSegmenter:
         """Segment against the given empty scenes: depth in metres by camera name, 0 = not known."""
         self.mode: Mode = mode
         self.problems: list[str] = []
-        self._limits = {name: _limit_m(background_m) for name, background_m in backgrounds_m.items()}
+        self.backgrounds_m: dict[str, ndarray] = dict(backgrounds_m)
+        self._limits = {name: limit_m(background_m) for name, background_m in backgrounds_m.items()}
 
     @classmethod
     def from_recording(cls, source: FrameSource, mode: Mode = "auto") -> PersonSegmenter:
@@ -104,13 +99,13 @@ class PersonSegmenter:
         if self.mode == "none":
             return view.depth_m > 0
         mask = np.zeros(view.depth_m.shape, bool)
-        limit_m = self._limits.get(view.camera.name)
-        if limit_m is None:
+        near_m = self._limits.get(view.camera.name)
+        if near_m is None:
             return mask
-        if limit_m.shape != mask.shape:
-            raise InputError(f"camera {view.camera.name!r}: view of shape {mask.shape}, background {limit_m.shape}")
+        if near_m.shape != mask.shape:
+            raise InputError(f"camera {view.camera.name!r}: view of shape {mask.shape}, background {near_m.shape}")
         depth_m = view.depth_m.astype(np.float32, copy=False)
-        candidate = ((depth_m > 0) & (depth_m < limit_m)).view(np.uint8)
+        candidate = ((depth_m > 0) & (depth_m < near_m)).view(np.uint8)
         crowd = cv2.boxFilter(candidate, -1, (3, 3), normalize=False)
         candidate &= (crowd >= FEWEST_TOGETHER).view(np.uint8)
         x, y, width, height = cv2.boundingRect(candidate)
@@ -122,7 +117,8 @@ class PersonSegmenter:
         return mask
 
     def _learn(self, name: str, views: Sequence[View]) -> None:
-        self._limits[name] = _limit_m(estimate_background([view.depth_m for view in views]))
+        self.backgrounds_m[name] = estimate_background([view.depth_m for view in views])
+        self._limits[name] = limit_m(self.backgrounds_m[name])
         pixel = views[0].camera.fx * views[0].camera.fy
         areas = np.array([(view.depth_m[self(view)] ** 2).sum() / pixel for view in views])
         whole = np.count_nonzero(areas > WHOLE_PERSON_M2)
@@ -132,26 +128,6 @@ class PersonSegmenter:
                 "were in view more often, they or parts of them hardly moved: record the empty scene as background.png "
                 "in the camera's folder, or pass --segment none"
             )
-
-
-def estimate_background(samples_m: Sequence[Float[ndarray, "_ _"]]) -> Float[ndarray, "h w"]:
-    """Empty scene (metres, float32, 0 = not known) from frames of one size with a person moving in them.
-
-    Per pixel: the far quantile of its valid depths, then the mean of all depths that agree with it.
-    """
-    # uint16 mm: half the memory, and a sort several times as fast, for half a millimetre of rounding.
-    stack = np.stack([np.clip(sample * 1000 + 0.5, 0, 65535).astype(np.uint16) for sample in samples_m], -1)
-    height, width, count = stack.shape
-    stack = np.sort(stack.reshape(-1, count), axis=1)  # invalid zeros first
-    valid = np.count_nonzero(stack, axis=1)
-    rank = count - valid + np.floor(FAR_QUANTILE * np.maximum(valid - 1, 0)).astype(np.intp)
-    far = np.take_along_axis(stack, np.minimum(rank, count - 1)[:, None], 1).astype(np.float32)
-    margin = 1000 * _margin_m(far / 1000)
-    agree = (stack > far - margin) & (stack < far + margin) & (stack > 0)
-    agreed = np.count_nonzero(agree, axis=1)
-    background = np.where(agree, stack, 0).sum(1, dtype=np.float32) / np.maximum(agreed, 1) / 1000
-    background[(valid < MOSTLY_VALID * count) & (agreed < LEAST_AGREED * count)] = 0
-    return background.reshape(height, width).astype(np.float32)
 
 
 def _camera_names(source: FrameSource) -> tuple[str, ...]:
@@ -168,18 +144,6 @@ def _spread(source: FrameSource, count: int) -> Iterator[FrameSet]:
     return (frame_set for i, frame_set in enumerate(source) if i in wanted)
 
 
-def _margin_m(depth_m: Float[ndarray, "*shape"]) -> Float[ndarray, "*shape"]:
-    return MARGIN_M + MARGIN_PER_M * depth_m * depth_m
-
-
-def _limit_m(background_m: Float[ndarray, "h w"]) -> Float[ndarray, "h w"]:
-    """Depth below which a pixel is in front of the background; anything where the background is not known."""
-    known = np.where(background_m > 0, background_m, _FAR).astype(np.float32)
-    # Pinholes take the nearest depth around them, or they would be specks of foreground in every frame.
-    filled = np.where(known < _FAR, known, cv2.erode(known, np.ones((5, 5), np.uint8)))
-    return np.where(filled < _FAR, filled - _margin_m(filled), _FAR).astype(np.float32)
-
-
 def _person(
     depth_m: Float[ndarray, "h w"],
     candidate: Bool[ndarray, "h w"],
@@ -187,7 +151,7 @@ def _person(
     camera: DepthCamera,
 ) -> Bool[ndarray, "h w"]:
     """The largest body among the candidate pixels and the parts that belong to it, without stray pixels."""
-    nearest = cv2.erode(np.where(depth_m > 0, depth_m, _FAR), _BOX)
+    nearest = cv2.erode(np.where(depth_m > 0, depth_m, FAR_M), _BOX)
     behind = depth_m - nearest
     candidate = candidate & ((behind < FLYING_M) | (cv2.dilate(depth_m, _BOX) - depth_m < FLYING_M))
     # Dropping the far side of every step parts the surfaces for a plain component search.

@@ -19,11 +19,11 @@ from depthmocap.capture.recorded import Pace
 from depthmocap.capture.source import DepthFrame
 from depthmocap.capture.sync import SyncSettings
 from depthmocap.errors import InputError
+from depthmocap.export.files import PeopleFiles, PoseFiles
 from depthmocap.frames import Pose
 from depthmocap.geometry import Rig, load_rig
 from depthmocap.online.dashboard import draw_dashboard
 from depthmocap.online.live import LiveCapture, Replay, Segment
-from depthmocap.online.output import PoseFiles
 from depthmocap.pose.track import Smoothing
 
 #: The dashboard is drawn so often.
@@ -43,6 +43,7 @@ class LiveSettings:
             no set is left out.
         seconds: stop after so long.
         segment: "auto" finds the person in a static scene; "none" takes every valid pixel.
+        people: follow up to so many; with more than one, each has a folder ``person-N`` in ``out`` besides.
         smooth: the filter over time, see ``depthmocap run``.
         wait_ms: how long a set waits for a camera that is late.
         rate_hz: sets a second; by default the fastest camera's rate.
@@ -56,6 +57,7 @@ class LiveSettings:
     realtime: bool = False
     seconds: float | None = None
     segment: Segment = "auto"
+    people: int = 1
     smooth: Smoothing = "auto"
     wait_ms: float = SyncSettings().wait_ms
     rate_hz: float | None = None
@@ -96,7 +98,10 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str
             backgrounds = capture.raw_backgrounds()
             capture.gatherer.recorder = _Mcap(stack.enter_context(McapWriter(settings.record, rig, backgrounds)))
         files = stack.enter_context(PoseFiles(settings.out, capture.up)) if settings.out else None
-        summary = _follow(capture, files, settings.seconds, console)
+        everybody = None
+        if settings.out is not None and settings.people > 1:
+            everybody = stack.enter_context(PeopleFiles(settings.out, capture.up))
+        summary = _follow(capture, files, everybody, settings.seconds, console)
     if not capture.books.poses:
         raise InputError(f"no set of frames came: {' '.join(capture.problems) or 'are the cameras running?'}")
     _tell(summary, settings, console)
@@ -112,13 +117,19 @@ def _capture(settings: LiveSettings, console: Console) -> LiveCapture | Replay:
         with console.status("reading the background and the weights"):
             recording = open_recording(Path(settings.sources[0]))
             sync = dataclasses.replace(sync, rate_hz=settings.rate_hz or 1e9 / recording.period_ns)
-            return Replay(recording, None, sync, settings.segment, settings.smooth)
+            return Replay(recording, None, sync, settings.segment, settings.smooth, settings.people)
     sources = make_sources(settings.sources, Pace(1.0))
-    return LiveCapture(sources, rig, None, sync, settings.rate_hz is None, settings.segment, settings.smooth)
+    return LiveCapture(
+        sources, rig, None, sync, settings.rate_hz is None, settings.segment, settings.smooth, settings.people
+    )
 
 
 def _follow(
-    capture: LiveCapture | Replay, files: PoseFiles | None, seconds: float | None, console: Console
+    capture: LiveCapture | Replay,
+    files: PoseFiles | None,
+    everybody: PeopleFiles | None,
+    seconds: float | None,
+    console: Console,
 ) -> dict[str, Any]:
     """Take poses until the end; returns the summary, which is in ``files`` as well."""
     begun = drawn = time.monotonic()
@@ -134,8 +145,11 @@ def _follow(
                 taken += 1
                 assert capture.pipeline is not None
                 # What a filter that waits gives at first is not final.
-                if taken > (capture.pipeline.smoothing.delay_frames if capture.pipeline.smoothing else 0):
+                delay = capture.pipeline.smoothing.delay_frames if capture.pipeline.smoothing else 0
+                if taken > delay:
                     write(live_pose.pose)
+                if everybody is not None:
+                    everybody.write({person.number: person.pose for person in live_pose.result.people}, delay)
                 now = time.monotonic()
                 if now - drawn >= DRAW_S:
                     drawn = now
@@ -150,6 +164,8 @@ def _follow(
         statuses = capture.statuses()
     for pose in capture.pipeline.finish() if capture.pipeline else []:
         write(pose)
+    if everybody is not None and capture.pipeline is not None:
+        everybody.finish(capture.pipeline.finish_people())
     summary = {
         "seconds": time.monotonic() - begun,
         "interrupted": interrupted,

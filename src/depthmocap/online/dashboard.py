@@ -41,4 +41,6 @@ def draw_dashboard(
     recent = [meter.recent() for meter in meters.values()]
     stages.add_row("p50", *(_number(p50) for p50, _ in recent))
     stages.add_row("p95", *(_number(p95) for _, p95 in recent))
-    return Group(table, stages, *(Text(f"• {problem}", "yellow") for problem in list(problems)[-4:]))
+    here = ", ".join(map(str, books.present)) or "nobody"
+    people = Text(f"in view: {here}; so far {len(books.people)} {'person' if len(books.people) == 1 else 'people'}")
+    return Group(table, stages, people, *(Text(f"• {problem}", "yellow") for problem in list(problems)[-4:]))

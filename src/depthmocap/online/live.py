@@ -26,8 +26,6 @@ from depthmocap.pipeline import Pipeline, Result
 from depthmocap.pose.track import Smoothing
 
 Segment = Literal["auto", "none"]
-#: How long the scene is looked at where no empty one is known.
-LEARN_S = 3.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -40,25 +38,21 @@ class LivePose:
     latency_ms: float
 
 
-class SceneViews:
-    """Sets to learn the empty scene from, in the form of a recording."""
+class EmptyScenes:
+    """What is known of the empty scenes before the first frame, in the form of a recording without frames."""
 
-    def __init__(self, rig: Rig, sets: Sequence[FrameSet], backgrounds: dict[str, Float[ndarray, "_ _"]]) -> None:
-        self.rig, self.up = rig, rig.up
-        self._sets, self._backgrounds = sets, backgrounds
+    def __init__(self, rig: Rig, backgrounds: dict[str, Float[ndarray, "_ _"]]) -> None:
+        self.rig, self.up, self._backgrounds = rig, rig.up, backgrounds
 
     def background(self, name: str) -> Float[ndarray, "h w"] | None:
         """Depth of the empty scene in metres, where the camera brings it."""
         return self._backgrounds.get(name)
 
     def __len__(self) -> int:
-        return len(self._sets)
+        return 0
 
     def __iter__(self) -> Iterator[FrameSet]:
-        return iter(self._sets)
-
-    def __getitem__(self, index: int) -> FrameSet:
-        return self._sets[index]
+        return iter(())
 
 
 class LiveCapture:
@@ -76,25 +70,27 @@ class LiveCapture:
         measure_rate: bool = True,
         segment: Segment = "auto",
         smooth: Smoothing = "auto",
+        people: int = 1,
     ) -> None:
         """
         Args:
             rig: where the cameras stand; by default what the sources know.
-            pipeline: what makes poses of sets; by default the packaged one, its background from the sources, or learnt
-                from the first ``LEARN_S`` seconds if a source knows none.
+            pipeline: what makes poses of sets; by default the packaged one. Empty scenes that the sources do not know
+                are learnt while it runs.
             sync, measure_rate: see :class:`Gatherer`.
-            segment, smooth: of the default pipeline, see RunSettings.
+            segment, smooth, people: of the default pipeline, see RunSettings.
         """
         self._sources, self._pipeline = list(sources), pipeline
         self._segment: Segment = segment
         self._smooth: Smoothing = smooth
+        self._people = people
         self.gatherer = Gatherer(sources, rig, sync, measure_rate)
         self.books = Books()
         self.up = rig.up if rig else (sources[0].up if sources else "z")
 
     @property
     def pipeline(self) -> Pipeline | None:
-        """What makes poses of sets; None until the scene was learnt."""
+        """What makes poses of sets; None until the first set."""
         return self._pipeline
 
     def __enter__(self) -> LiveCapture:
@@ -134,31 +130,23 @@ class LiveCapture:
 
     def __iter__(self) -> Iterator[LivePose]:
         sets = self.gatherer.sets()
-        if self._pipeline is None:
-            self._pipeline = self._learn(sets)
-            self.gatherer.dropped = 0
         for synced in sets:
+            if self._pipeline is None:
+                self._pipeline = self._begin(frame_set(synced, self.gatherer.cameras))
+                self.gatherer.dropped = 0
+                continue
             result = self._pipeline(frame_set(synced, self.gatherer.cameras))
             last_ns = max(frame.arrival_ns for frame in synced.frames.values())
             latency_ms = (time.monotonic_ns() - last_ns) * 1e-6
             yield _booked(self.books, LivePose(result.pose, synced, result, latency_ms))
 
-    def _learn(self, sets: Iterator[SyncedSet]) -> Pipeline:
-        """The default pipeline, warm; takes sets for as long as it must."""
+    def _begin(self, frames: FrameSet) -> Pipeline:
+        """The default pipeline, warm; takes the first set for it."""
         cameras = self.gatherer.cameras
         backgrounds = {name: cameras[name].to_metres(raw) for name, raw in self.raw_backgrounds().items()}
-        views: list[FrameSet] = []
-        end = time.monotonic() + (LEARN_S if self._segment == "auto" else 0)
-        for synced in sets:
-            views.append(frame_set(synced, cameras))
-            known = all(view.camera.name in backgrounds for view in views[-1].views)
-            if known or time.monotonic() >= end:
-                break
-        rig = Rig(tuple(cameras.values()), self.up)
-        pipeline = load_pipeline(SceneViews(rig, views, backgrounds), self._segment, self._smooth)
-        for problem in getattr(pipeline.segment, "problems", []):
-            self.gatherer.note(problem)
-        return warm(pipeline, views[-1]) if views else pipeline
+        scenes = EmptyScenes(Rig(tuple(cameras.values()), self.up), backgrounds)
+        pipeline = load_pipeline(scenes, self._segment, self._smooth, people=self._people)
+        return warm(pipeline, frames)
 
 
 def warm(pipeline: Pipeline, frames: FrameSet) -> Pipeline:
@@ -183,9 +171,10 @@ class Replay:
         sync: SyncSettings | None = None,
         segment: Segment = "auto",
         smooth: Smoothing = "auto",
+        people: int = 1,
     ) -> None:
         """``pipeline``: by default the packaged one, its background from the recording."""
-        self.pipeline = pipeline or load_pipeline(recording, segment, smooth)
+        self.pipeline = pipeline or load_pipeline(recording, segment, smooth, people=people)
         self.intake = Intake(sync or SyncSettings(rate_hz=1e9 / recording.period_ns))
         self.books, self.up = Books(), recording.up
         self._recording, self._now_ns = recording, 0
@@ -220,7 +209,8 @@ class Replay:
 
 def _booked(books: Books, live: LivePose) -> LivePose:
     seen = bool(live.pose.confidence.max() > 0)
-    books.add(live.result.milliseconds, live.latency_ms, live.synced.skew_ns * 1e-6, seen)
+    present = tuple(person.number for person in live.result.people)
+    books.add(live.result.milliseconds, live.latency_ms, live.synced.skew_ns * 1e-6, seen, present)
     return live
 
 
@@ -230,7 +220,7 @@ def live(
     segment: Segment = "auto",
     smooth: Smoothing = "auto",
 ) -> Iterator[Pose]:
-    """Poses of cameras as they deliver; recordings play at their own speed.
+    """Poses of one person as cameras deliver; recordings play at their own speed.
 
     Args:
         sources: cameras as ``depthmocap record`` names them, recordings, or opened by yourself.
@@ -240,11 +230,38 @@ def live(
     Raises:
         InputError: when a source is not what it says, or no camera can be opened.
     """
+    with _open(sources, rig, segment, smooth, 1) as capture:
+        for each in capture:
+            yield each.pose
+
+
+def live_people(
+    *sources: str | Path | DepthSource,
+    people: int = 2,
+    rig: Rig | Path | None = None,
+    segment: Segment = "auto",
+    smooth: Smoothing = "auto",
+) -> Iterator[dict[int, Pose]]:
+    """Poses of up to so many people by their numbers, which stay theirs, set by set; otherwise as :func:`live`.
+
+    Raises:
+        InputError: see :func:`live`, or when ``people`` is less than one.
+    """
+    with _open(sources, rig, segment, smooth, people) as capture:
+        for each in capture:
+            yield {person.number: person.pose for person in each.result.people}
+
+
+def _open(
+    sources: Sequence[str | Path | DepthSource],
+    rig: Rig | Path | None,
+    segment: Segment,
+    smooth: Smoothing,
+    people: int,
+) -> LiveCapture:
     pace = Pace(1.0)
     opened: list[DepthSource] = []
     for source in sources:
         opened += [source] if isinstance(source, DepthSource) else make_sources([str(source)], pace)
     rig = load_rig(rig) if isinstance(rig, Path) else rig
-    with LiveCapture(opened, rig, segment=segment, smooth=smooth) as capture:
-        for each in capture:
-            yield each.pose
+    return LiveCapture(opened, rig, segment=segment, smooth=smooth, people=people)

@@ -35,10 +35,23 @@ class Books:
         self.poses = self.seen = 0
         self.latency, self.skew = Meter(), Meter()
         self.stages = {stage: Meter() for stage in STAGES}
+        #: Sets in which each person was seen, by number, and who was seen in the last one.
+        self.people: dict[int, int] = {}
+        self.present: tuple[int, ...] = ()
 
-    def add(self, milliseconds: dict[str, float], latency_ms: float, skew_ms: float, seen: bool) -> None:
-        """Take one pose; ``seen``: somebody was in view."""
+    def add(
+        self,
+        milliseconds: dict[str, float],
+        latency_ms: float,
+        skew_ms: float,
+        seen: bool,
+        present: tuple[int, ...] = (),
+    ) -> None:
+        """Take one pose; ``seen``: somebody was in view; ``present``: their numbers."""
         self.poses += 1
+        self.present = present
+        for number in present:
+            self.people[number] = self.people.get(number, 0) + 1
         self.seen += seen
         self.latency.add(latency_ms)
         self.skew.add(skew_ms)
@@ -50,6 +63,7 @@ class Books:
         return {
             "poses": self.poses,
             "poses_with_somebody": self.seen,
+            "poses_by_person": {str(number): count for number, count in sorted(self.people.items())},
             "latency_ms": self.latency.overall(),
             "skew_ms": self.skew.overall(),
             "ms_per_stage": {stage: meter.overall() for stage, meter in self.stages.items()},

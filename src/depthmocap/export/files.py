@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -11,8 +12,13 @@ from typing import Any
 import numpy as np
 
 from depthmocap.errors import InputError
-from depthmocap.export import CsvWriter, read_csv, write_bvh, write_trc
+from depthmocap.export.bvh import write_bvh
+from depthmocap.export.csv import CsvWriter, read_csv
+from depthmocap.export.trc import write_trc
 from depthmocap.frames import Pose
+
+#: Files of somebody who was not seen for longer than this are closed (s): people have their numbers back for a minute.
+CLOSED_AFTER_S = 65.0
 
 
 class PoseFiles:
@@ -53,7 +59,7 @@ class PoseFiles:
         self.summary["interrupted"] = self.summary.get("interrupted", False) or kind is not None
         if self._last_ns is not None:
             self._animate()
-        text = json.dumps(_plain(self.summary), indent=1)
+        text = json.dumps(plain_json(self.summary), indent=1)
         (self._folder / "summary.json").write_text(text + "\n", encoding="utf-8")
 
     def _animate(self) -> None:
@@ -72,10 +78,53 @@ class PoseFiles:
             self.summary["problems"] = [*self.summary.get("problems", []), str(error)]
 
 
-def _plain(value: Any) -> Any:
+class PeopleFiles:
+    """A folder ``person-N`` of :class:`PoseFiles` for everybody who is followed. A context manager."""
+
+    def __init__(self, folder: Path, up: str) -> None:
+        self._folder, self._up = folder, up
+        self._files: dict[int, PoseFiles] = {}
+        #: How many poses each has had.
+        self.poses: dict[int, int] = {}
+        self._last_ns: dict[int, int] = {}
+
+    def __enter__(self) -> PeopleFiles:
+        return self
+
+    def write(self, poses: Mapping[int, Pose], delay_frames: int = 0) -> None:
+        """Append the poses of one set, by number; ``delay_frames`` is of their filter, whose first are not final.
+
+        Raises:
+            InputError: when a folder cannot be written.
+        """
+        for number, pose in poses.items():
+            self.poses[number] = self.poses.get(number, 0) + 1
+            self._last_ns[number] = pose.timestamp_ns
+            if number not in self._files:
+                self._files[number] = PoseFiles(self._folder / f"person-{number}", self._up).__enter__()
+            if self.poses[number] > delay_frames:
+                self._files[number].write(pose)
+        newest_ns = max(self._last_ns.values(), default=0)
+        for number in [n for n in self._files if newest_ns - self._last_ns[n] > CLOSED_AFTER_S * 1e9]:
+            self._files.pop(number).__exit__(None, None, None)
+
+    def finish(self, poses: Mapping[int, Sequence[Pose]]) -> None:
+        """Append what filters held back."""
+        for number, own in poses.items():
+            for pose in own if number in self._files else ():
+                self._files[number].write(pose)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for files in self._files.values():
+            files.__exit__(kind, error, trace)
+
+
+def plain_json(value: Any) -> Any:
     """The value with NaN as null, which JSON has no number for."""
     if isinstance(value, dict):
-        return {key: _plain(each) for key, each in value.items()}
+        return {key: plain_json(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
+        return [plain_json(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

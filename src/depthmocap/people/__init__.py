@@ -1,0 +1,1 @@
+"""People in a room that several cameras see: what is not background, in clusters, followed over time."""
