@@ -44,6 +44,15 @@ def test_merge_equals_unprojection_camera_by_camera():
     np.testing.assert_array_equal(cloud.weights, weights)
 
 
+def test_a_person_in_a_part_of_the_picture():
+    view, labels, weights = make_part(np.random.default_rng(4), make_camera())
+    labels[:7] = labels[20:] = labels[:, :11] = labels[:, 30:] = 0
+    cloud = merge_views([LabelledView(view, labels, weights)])
+    points, expected, _ = reference(view, labels, weights)
+    np.testing.assert_array_equal(cloud.labels, expected)
+    np.testing.assert_allclose(cloud.points_world, points, atol=2e-6)
+
+
 def test_true_labels_weigh_one_and_float64_depth_is_taken():
     view, labels, _ = make_part(np.random.default_rng(1), make_camera())
     view = dataclasses.replace(view, depth_m=view.depth_m.astype(np.float64))

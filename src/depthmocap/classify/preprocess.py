@@ -19,6 +19,7 @@ from PIL import Image
 
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.geometry.transforms import transform_points
+from depthmocap.kernels.box import box_of
 from depthmocap.kernels.window import gather, gather_labels, scatter, supported
 
 #: Side of the window, and of the person's bounding box in it (pixels).
@@ -97,25 +98,26 @@ def make_window(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], came
         depth_m: metres along z.
         mask: the person's pixels; those without depth, and stray ones beside no surface, are left out.
     """
-    mask = mask & (depth_m > 0)
-    rows = np.flatnonzero(mask.any(1))
-    if not len(rows):
+    box = box_of(mask)
+    if box is None:
         return None
-    columns = np.flatnonzero(mask.any(0))
-    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    solid = np.zeros_like(mask)
-    supported(depth_m[box], mask[box], NEAR_M, NEAR_PER_M, NEIGHBOURS, solid[box])
-    rows, columns = np.flatnonzero(solid.any(1)), np.flatnonzero(solid.any(0))
-    depths = depth_m[solid]
+    # From here on in the box alone: full pictures would take most of the time.
+    depth = depth_m[box]
+    solid = np.zeros(depth.shape, bool)
+    supported(depth, mask[box] & (depth > 0), NEAR_M, NEAR_PER_M, NEIGHBOURS, solid)
+    depths = depth[solid]
     if len(depths) < MIN_PIXELS:
         return None
-    top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+    rows, columns = box_of(solid) or box
+    corner = box[0].start, box[1].start
+    top, bottom = corner[0] + rows.start, corner[0] + rows.stop
+    left, right = corner[1] + columns.start, corner[1] + columns.stop
     centre_m = float(np.median(depths))
     step = max(bottom - top, right - left) / PERSON
     x0 = (left + right) / 2 - WINDOW / 2 * step
     y0 = (top + bottom) / 2 - WINDOW / 2 * step
     inputs = np.zeros((3, WINDOW, WINDOW), dtype=np.float32)
-    gather(depth_m, solid, x0, y0, step, centre_m, DEPTH_SCALE_M, inputs)
+    gather(depth, solid, corner, x0, y0, step, centre_m, DEPTH_SCALE_M, inputs)
     pixel_m = float(centre_m * step / camera.fx)
     inputs[2] = np.log2(pixel_m / PIXEL_M)
     return Window(inputs, float(x0), float(y0), float(step), centre_m, pixel_m)

@@ -7,21 +7,11 @@ import numpy as np
 
 
 @numba.njit(cache=True, nogil=True)
-def count_labelled(depth_m, labels, label_count):
-    """Number of pixels with a label 1…``label_count`` and a finite depth above 0."""
-    count = 0
-    for v in range(labels.shape[0]):
-        for u in range(labels.shape[1]):
-            label, z = labels[v, u], depth_m[v, u]
-            count += (label >= 1) & (label <= label_count) & (z > 0) & (z < np.inf)
-    return count
-
-
-@numba.njit(cache=True, nogil=True)
 def unproject_labelled(
     depth_m,
     labels,
     weights,
+    box,
     rays,
     intrinsics,
     world_from_camera,
@@ -31,15 +21,17 @@ def unproject_labelled(
     out_labels,
     out_weights,
 ):
-    """Write one view's labelled pixels into the output arrays from row ``start``; the next free row.
+    """Write one view's pixels with a label 1…``label_count`` and a finite depth above 0 into the output arrays from row
+    ``start``; the next free row.
 
-    An empty ``weights`` stands for ones; an empty ``rays`` for a lens without distortion, whose rays follow from
-    ``intrinsics`` (fx, fy, cx, cy).
+    All labels are in the rows and columns of ``box`` (first row, row after the last, and so for columns). An empty
+    ``weights`` stands for ones; an empty ``rays`` for a lens without distortion, whose rays follow from ``intrinsics``
+    (fx, fy, cx, cy).
     """
     fx, fy, cx, cy = intrinsics
     r, row = world_from_camera, start
-    for v in range(labels.shape[0]):
-        for u in range(labels.shape[1]):
+    for v in range(box[0], box[1]):
+        for u in range(box[2], box[3]):
             label, z = labels[v, u], depth_m[v, u]
             if label < 1 or label > label_count or not (z > 0 and z < np.inf):
                 continue

@@ -13,7 +13,8 @@ _ROUNDS = 4
 _MOST = 400
 
 
-@numba.njit(cache=True, nogil=True)
+# Sums in any order, and no check for a division by 0, let the loops over points run in vector registers.
+@numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def part_moments(points, labels, weights, rotation, region_count, scale_m):
     """(regions, 12) moments of rotated points; only the first column means anything where it is 0.
 

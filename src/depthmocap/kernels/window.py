@@ -19,28 +19,32 @@ def supported(depth, mask, tolerance_m, tolerance_per_m, fewest, out):
                 for u in range(max(x - 1, 0), min(x + 2, width)):
                     if mask[v, u] and abs(depth[v, u] - z) < tolerance:
                         count += 1
-            out[y, x] = count > fewest  # the pixel counted itself
+                if count > fewest:  # the pixel counts itself
+                    out[y, x] = True
+                    break
 
 
 @numba.njit(cache=True, nogil=True)
-def gather(depth, mask, left, top, step, centre_m, scale_m, out):
+def gather(depth, mask, corner, left, top, step, centre_m, scale_m, out):
     """Fill ``out[0]`` with scaled relative depth and ``out[1]`` with the mask; both must be zero before.
 
-    Window pixel (i, j) reads the picture at ``(top + (i + 0.5)·step, left + (j + 0.5)·step)``, rounded down.
+    ``depth`` and ``mask`` are a part of the picture, whose first pixel is at the row and column of ``corner``. Window
+    pixel (i, j) reads the picture at ``(top + (i + 0.5)·step, left + (j + 0.5)·step)``, rounded down.
     """
     height, width = depth.shape
     size = out.shape[1]
+    columns = np.floor(left + (np.arange(size) + 0.5) * step).astype(np.int64) - corner[1]
+    first, last = np.searchsorted(columns, 0), np.searchsorted(columns, width)
     for i in range(size):
-        y = int(np.floor(top + (i + 0.5) * step))
+        y = int(np.floor(top + (i + 0.5) * step)) - corner[0]
         if y < 0 or y >= height:
             continue
-        for j in range(size):
-            x = int(np.floor(left + (j + 0.5) * step))
-            if x < 0 or x >= width or not mask[y, x]:
-                continue
-            value = (depth[y, x] - centre_m) / scale_m
-            out[0, i, j] = min(max(value, -2.0), 2.0)
-            out[1, i, j] = 1.0
+        for j in range(first, last):
+            x = columns[j]
+            if mask[y, x]:
+                value = (depth[y, x] - centre_m) / scale_m
+                out[0, i, j] = min(max(value, -2.0), 2.0)
+                out[1, i, j] = 1.0
 
 
 @numba.njit(cache=True, nogil=True)
@@ -65,10 +69,12 @@ def scatter(window_labels, window_confidence, mask, left, top, step, out_labels,
     size = window_labels.shape[0]
     first = max(int(np.floor(top)), 0)
     last = min(int(np.ceil(top + size * step)), height)
+    columns = np.empty(width, np.int64)
+    for x in range(width):
+        columns[x] = min(max(int((x + 0.5 - left) / step), 0), size - 1)
     for y in range(first, last):
         i = min(max(int((y + 0.5 - top) / step), 0), size - 1)
         for x in range(width):
             if mask[y, x]:
-                j = min(max(int((x + 0.5 - left) / step), 0), size - 1)
-                out_labels[y, x] = window_labels[i, j]
-                out_confidence[y, x] = window_confidence[i, j]
+                out_labels[y, x] = window_labels[i, columns[x]]
+                out_confidence[y, x] = window_confidence[i, columns[x]]

@@ -14,7 +14,8 @@ from depthmocap.body.regions import REGION_COUNT
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
-from depthmocap.kernels.cloud import count_labelled, unproject_labelled
+from depthmocap.kernels.box import box_of
+from depthmocap.kernels.cloud import unproject_labelled
 
 #: Labels of a view: the network's, or its true ones.
 Labels = Literal["network", "true"]
@@ -64,38 +65,44 @@ def merge_views(parts: Sequence[LabelledView]) -> LabelledCloud:
     Raises:
         InputError: when the depth, labels, weights or (for a lens with distortion) camera of a view differ in shape.
     """
-    images = []
-    for view, labels, weights, _ in parts:
-        camera, shape = view.camera, view.depth_m.shape
-        if labels.shape != shape or (weights is not None and weights.shape != shape):
-            given = "" if weights is None else f" and weights {weights.shape}"
-            raise InputError(f"camera {camera.name!r}: depth is {shape}, but labels are {labels.shape}{given}")
-        # The rays of a lens without distortion are two multiplications: cheaper than a table when cameras come and go.
-        rays = camera.rays if any(camera.distortion) else _NO_RAYS
-        if rays.size and rays.shape[:2] != shape:
-            raise InputError(f"camera {camera.name!r} is {rays.shape[:2]} (rows, columns), but its depth is {shape}")
-        # A pixel whose ray the lens model does not give has no place in the world.
-        depth_m = np.where(np.isfinite(rays[..., 0]), view.depth_m, 0) if rays.size else view.depth_m
-        images.append(
-            (
-                np.ascontiguousarray(depth_m, np.float32),
-                np.ascontiguousarray(labels),
-                _NO_WEIGHTS if weights is None else np.ascontiguousarray(weights, np.float32),
-                rays,
-                (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)),
-                np.ascontiguousarray(camera.world_from_camera, np.float64),
-            )
-        )
-    count = sum(count_labelled(depth_m, labels, REGION_COUNT) for depth_m, labels, *_ in images)
-    points_world = np.empty((count, 3), np.float32)
-    all_labels = np.empty(count, np.uint8)
-    all_weights = np.empty(count, np.float32)
+    most = sum(int(np.count_nonzero(part.labels)) for part in parts)
+    points_world = np.empty((most, 3), np.float32)
+    all_labels, all_weights = np.empty(most, np.uint8), np.empty(most, np.float32)
     row, sizes = 0, []
-    for depth, labels, weights, rays, intrinsics, pose in images:
+    for view, labels, weights, _ in parts:
         start = row
-        row = unproject_labelled(
-            depth, labels, weights, rays, intrinsics, pose, REGION_COUNT, row, points_world, all_labels, all_weights
-        )
+        row = _unproject(view, labels, weights, row, points_world, all_labels, all_weights)
         sizes.append(row - start)
     cameras, joints = tuple(part.view.camera for part in parts), tuple(part.joints for part in parts)
-    return LabelledCloud(points_world, all_labels, all_weights, tuple(sizes), cameras, joints)
+    return LabelledCloud(points_world[:row], all_labels[:row], all_weights[:row], tuple(sizes), cameras, joints)
+
+
+def _unproject(
+    view: View, labels: UInt8[ndarray, "_ _"], weights: Float[ndarray, "_ _"] | None, start: int, *out: ndarray
+) -> int:
+    """Write a view's points, their labels and weights into three arrays from row ``start``; the next free row."""
+    camera, shape = view.camera, view.depth_m.shape
+    if labels.shape != shape or (weights is not None and weights.shape != shape):
+        given = "" if weights is None else f" and weights {weights.shape}"
+        raise InputError(f"camera {camera.name!r}: depth is {shape}, but labels are {labels.shape}{given}")
+    # The rays of a lens without distortion are two multiplications: cheaper than a table when cameras come and go.
+    rays = camera.rays if any(camera.distortion) else _NO_RAYS
+    if rays.size and rays.shape[:2] != shape:
+        raise InputError(f"camera {camera.name!r} is {rays.shape[:2]} (rows, columns), but its depth is {shape}")
+    box = box_of(np.ascontiguousarray(labels))
+    if box is None:
+        return start
+    # A pixel whose ray the lens model does not give has no place in the world.
+    depth_m = np.where(np.isfinite(rays[..., 0]), view.depth_m, 0) if rays.size else view.depth_m
+    return unproject_labelled(
+        np.ascontiguousarray(depth_m, np.float32),
+        np.ascontiguousarray(labels),
+        _NO_WEIGHTS if weights is None else np.ascontiguousarray(weights, np.float32),
+        (box[0].start, box[0].stop, box[1].start, box[1].stop),
+        rays,
+        (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)),
+        np.ascontiguousarray(camera.world_from_camera, np.float64),
+        REGION_COUNT,
+        start,
+        *out,
+    )
