@@ -79,6 +79,8 @@ _COMMANDS = (
              "the paper's tables and figures from its data sets"),
     _Command("evaluate motion", "depthmocap.evaluate.motion", "MotionEvaluation", "evaluate_motion",
              "joints over time: every filter on generated sequences", "train"),
+    _Command("evaluate people", "depthmocap.evaluate.people", "PeopleEvaluation", "evaluate_people",
+             "several people in generated scenes: masks, numbers, and what they do to each other", "train"),
     _Command("evaluate labels2d", "depthmocap.evaluate.labels2d", "Labels2dEvaluation", "evaluate_labels2d",
              "labels of real depth against joints found in colour"),
     _Command("compare", "depthmocap.evaluate.compare", "Comparison", "compare",

@@ -10,11 +10,20 @@ from fakes import Board, fake_pipeline
 from depthmocap.capture.simulator import Faults, SimulatedCamera, Simulation
 from depthmocap.capture.sync import SyncSettings
 from depthmocap.errors import InputError
+from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import Rig
 from depthmocap.online.gather import Gatherer
 from depthmocap.online.live import LiveCapture
 
 RATE = 20.0
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled():
+    """Inner loops are compiled or read from their cache before time counts."""
+    board = Board(1)
+    camera = board.rig["cam0"]
+    fake_pipeline()(FrameSet(0, (View(camera, camera.to_metres(board.depth("cam0", 0.0))),)))
 
 
 def cameras(simulation, zero_ns=None):
