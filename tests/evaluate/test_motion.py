@@ -87,7 +87,7 @@ def test_cameras_out_of_step_see_other_instants(default_body: Body) -> None:
 
 
 def test_the_fault_is_measured_beside_the_same_sequences(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("depthmocap.evaluate.motion.FILTERS", ("one-euro",))
+    monkeypatch.setattr("depthmocap.evaluate.motion.FILTERS", ("kalman",))
     settings = MotionEvaluation(tmp_path / "estimates", sequences=1, views=2, out_of_step_ms=16.0)
     tracks = _with_estimates(settings)
     store = TrackStore(settings.out / "out_of_step_16_ms", _binding(settings))

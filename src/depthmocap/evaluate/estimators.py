@@ -50,7 +50,7 @@ class EstimatorComparison:
     labels: Labels = "network"
     views: tuple[int, ...] = (1, 2, 3)
     folds: int = 5
-    minutes: float = 10.0
+    minutes: float = 4.0
     seed: int = 0
     json: Path | None = None
 
@@ -108,7 +108,7 @@ def _ridge(features: ndarray, joints: ndarray, groups: ndarray, settings: Estima
 def _standardiser(features: ndarray, settings: EstimatorComparison) -> Predictor:
     """As for ridge."""
     mean, scale = feature_moments(features)
-    return lambda rows: standardise(rows, mean, scale, _clip(settings)).astype(np.float64)
+    return lambda rows: standardise(rows, mean, scale, _clip(settings))
 
 
 def _lasso(features: ndarray, joints: ndarray, groups: ndarray, settings: EstimatorComparison) -> Predictor:
@@ -118,7 +118,7 @@ def _lasso(features: ndarray, joints: ndarray, groups: ndarray, settings: Estima
     except ModuleNotFoundError:
         raise missing_extra("scikit-learn", "train") from None
     standardise = _standardiser(features, settings)
-    x, y = standardise(features), joints.reshape(len(joints), -1).astype(np.float64)
+    x, y = (each.reshape(len(joints), -1).astype(np.float64) for each in (standardise(features), joints))
     centre = y.mean(0)
 
     def fit(rows: ndarray, strengths: Float[ndarray, "s"]) -> Float[ndarray, "s f o"]:
@@ -153,13 +153,15 @@ def _perceptron(features: ndarray, joints: ndarray, groups: ndarray, settings: E
     standardise = _standardiser(features, settings)
     network = MLPRegressor(
         hidden_layer_sizes=(_LAYER,),
-        alpha=1e-3,
+        alpha=1.0,
+        batch_size=32,  # pyright: ignore[reportArgumentType] - it takes numbers too
+        learning_rate_init=3e-4,
         early_stopping=True,
-        max_iter=100,
+        max_iter=60,
         random_state=settings.seed,
         n_iter_no_change=8,
     )
-    y = joints.reshape(len(joints), -1)
+    y = joints.reshape(len(joints), -1).astype(np.float32)
     centre, scale = y.mean(0), y.std()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # near enough to convergence
