@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from depthmocap.body.model import Body
-from depthmocap.body.posture import POSTURE_INDEX, heading, mirror_posture
+from depthmocap.body.posture import POSTURE_INDEX, heading, mirror_posture, world_rotations
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
 from depthmocap.synth.motion.mocap import Clip
@@ -216,6 +217,44 @@ def test_recombination_keeps_the_legs() -> None:
         assert max(of_legs.min(), of_arms.min()) < 1e-6
         mixed += bool(of_legs.argmin() != of_arms.argmin())
     assert mixed > 10
+
+
+def test_limbs_of_other_postures() -> None:
+    clips = [swinging_clip("a", 1), swinging_clip("b", 2)]
+    source = ClipPostures(clips, "train", False, Variation(mirror=0.0, limb=0.5))
+    limbs = [
+        [POSTURE_INDEX[f"{bone}.{side}"] for bone in bones]
+        for bones in (("upper_arm", "forearm", "hand"), ("thigh", "shin", "foot"))
+        for side in "RL"
+    ]
+    trunk = [i for i in range(1, 20) if not any(i in limb for limb in limbs)]
+    postures = draw(source, 30)
+    own = [np.abs(source.postures[:, trunk] - posture[trunk]).max((1, 2)).argmin() for posture in postures]
+    changed = np.array(
+        [
+            [np.abs(source.postures[i][limb] - posture[limb]).max() > 1e-6 for limb in limbs]
+            for i, posture in zip(own, postures, strict=True)
+        ]
+    )
+    assert (changed.mean(0) > 0.2).all() and (changed.mean(0) < 0.8).all()  # each limb by itself
+    for limb in limbs:
+        assert all(np.abs(source.postures[:, limb] - posture[limb]).max((1, 2)).min() < 1e-6 for posture in postures)
+
+
+def test_tilted_bodies() -> None:
+    source = ClipPostures([swinging_clip("a", 1)], "train", False, Variation(mirror=0.0, tilt=1.0))
+    up = world_rotations(draw(source, 200))[:, 0, :, 2]
+    lean = np.degrees(np.arccos(up[:, 2]))  # these people stand upright as recorded
+    assert np.quantile(lean, [0.1, 0.5, 0.9]) == pytest.approx([18, 90, 162], abs=15)
+    assert np.abs(up.mean(0)[:2]).max() < 0.2  # to any side
+    upright = ClipPostures([swinging_clip("a", 1)], "train", False, AS_RECORDED)
+    assert world_rotations(draw(upright, 50))[:, 0, 2, 2].min() > 0.99
+
+
+def test_walking_and_running_people_keep_their_limbs_and_stand() -> None:
+    prior = posture_source(None, "train", simple=True, variation=TRAINING_VARIATION)
+    assert isinstance(prior, PosturePrior)
+    assert prior.variation == dataclasses.replace(TRAINING_VARIATION, limb=0.0, tilt=0.0)
 
 
 def test_simple_clips_alone() -> None:

@@ -12,9 +12,17 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
+from scipy.spatial.transform import Rotation
 
 from depthmocap.body.model import BodyModel, Phenotype
-from depthmocap.body.posture import POSTURE_BONES, POSTURE_PARENTS, mirror_posture, turn_posture, world_rotations
+from depthmocap.body.posture import (
+    POSTURE_BONES,
+    POSTURE_INDEX,
+    POSTURE_PARENTS,
+    mirror_posture,
+    turn_posture,
+    world_rotations,
+)
 from depthmocap.errors import InputError
 from depthmocap.synth.motion.clips.motion import reason
 from depthmocap.synth.motion.limits import bone_axis
@@ -23,6 +31,13 @@ from depthmocap.synth.motion.pool import NOT_NPZ, PosturePool, read_npz
 
 _LOG = logging.getLogger(__name__)
 
+_PELVIS = POSTURE_INDEX["pelvis"]
+#: The bones of each limb, which may come from another posture by themselves.
+_LIMBS = [
+    np.array([POSTURE_INDEX[f"{bone}.{side}"] for bone in bones])
+    for bones in (("upper_arm", "forearm", "hand"), ("thigh", "shin", "foot"))
+    for side in "RL"
+]
 #: Of bad clips so many are named; there may be thousands.
 _SKIPS_TOLD = 3
 #: Bones above the pelvis, which recombination takes from another posture.
@@ -39,15 +54,25 @@ class PostureSource(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Variation:
-    """How drawn postures are varied beyond what was recorded."""
+    """How drawn postures are varied beyond what was recorded.
+
+    Attributes:
+        mirror: share that is mirrored.
+        recombine: share whose trunk, head and arms are another posture's.
+        noise_rad: deviation of every rotation.
+        limb: share of arms and legs, each by itself, that are another posture's.
+        tilt: share of bodies that are tilted as a whole, by any angle to any side: lying, falling, upside down.
+    """
 
     mirror: float = 0.5
     recombine: float = 0.0
     noise_rad: float = 0.0
+    limb: float = 0.0
+    tilt: float = 0.0
 
 
 #: For training: more postures than were recorded.
-TRAINING_VARIATION = Variation(mirror=0.5, recombine=0.25, noise_rad=0.06)
+TRAINING_VARIATION = Variation(mirror=0.5, recombine=0.25, noise_rad=0.06, limb=0.2, tilt=0.12)
 
 
 def joint_positions(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n 20 3"]:
@@ -125,6 +150,10 @@ class ClipPostures:
         posture = self.postures[index].astype(np.float64)
         if rng.random() < self._variation.recombine:
             posture[UPPER_BONES] = self.postures[rng.integers(len(self.postures))][UPPER_BONES]
+        if self._variation.limb > 0:
+            for bones in _LIMBS:
+                if rng.random() < self._variation.limb:
+                    posture[bones] = self.postures[rng.integers(len(self.postures))][bones]
         return _vary(posture, self._variation, rng), int(self.groups[index])
 
 
@@ -132,6 +161,10 @@ def _vary(posture: Float[ndarray, "20 3"], variation: Variation, rng: np.random.
     if rng.random() < variation.mirror:
         posture = mirror_posture(posture)
     posture = posture + rng.normal(0, variation.noise_rad, posture.shape)
+    if variation.tilt > 0 and rng.random() < variation.tilt:
+        side, angle = rng.uniform(-np.pi, np.pi), rng.uniform(0, np.pi)
+        tilt = Rotation.from_rotvec([angle * np.cos(side), angle * np.sin(side), 0])
+        posture[_PELVIS] = (tilt * Rotation.from_rotvec(posture[_PELVIS])).as_rotvec()
     return turn_posture(posture, rng.uniform(-np.pi, np.pi))
 
 
@@ -212,6 +245,8 @@ def posture_source(
     Raises:
         InputError: a folder without readable clips, a file that is no pool, or no posture of the split.
     """
+    if simple:  # walking and running
+        variation = dataclasses.replace(variation, limb=0.0, tilt=0.0)
     if postures is None:
         return PosturePrior.load(simple=simple, variation=variation)
     if not postures.exists():
