@@ -17,7 +17,7 @@ from pathlib import Path
 
 import tyro
 
-from depthmocap.capture.mcap_recording import open_recording
+from depthmocap.capture.open import open_recording
 from depthmocap.capture.simulator import Faults, RecordedScene, SimulatedCamera, Simulation
 from depthmocap.capture.sync import SyncSettings
 from depthmocap.geometry import Rig

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from depthmocap.body.skeleton import JOINTS
-from depthmocap.capture.mcap_recording import open_recording
+from depthmocap.capture.open import open_recording
 from depthmocap.capture.recording import Recording
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError

@@ -1,126 +1,175 @@
-"""The Azure Kinect back end against a fake of pyk4a's interface."""
+"""The Azure Kinect back end against a fake of libk4a, and with the library itself where it is installed."""
 
-import types
-from pathlib import Path
+import ctypes
 from typing import Any
 
 import numpy as np
 import pytest
 
-from depthmocap.capture import azure_kinect
-from depthmocap.capture.azure_kinect import AzureKinect, find, five_coefficients
+from depthmocap.capture import azure_kinect, k4a, sdk
+from depthmocap.capture.azure_kinect import AzureKinect, find
+from depthmocap.capture.cameras import make_sources
 from depthmocap.capture.source import CameraError, NoFrame
+from depthmocap.errors import InputError
 
-#: The rational lens of a depth camera as its factory calibrates it: numerator and denominator nearly cancel.
-LENS = np.array([0.52, -0.02, 1e-4, -2e-5, 0.006, 0.86, 0.105, 0.0])
-
-
-class FakeError(Exception):
-    pass
+WIDTH, HEIGHT = 640, 576
 
 
-class FakeTimeoutError(FakeError):
-    pass
+class FakeK4a:
+    """libk4a, as ctypes calls it: devices that give depth with numbers in it; every second capture has none."""
 
+    def __init__(self) -> None:
+        self.serials = [b"one", b"two"]
+        self.busy: set[int] = set()
+        self.count, self.lost, self.starts, self.focal = 3, False, True, 504.0
+        self.running: list[int] = []
+        self.open: list[int] = []
+        self.number = 0
+        self.held: list[int] = []
+        self.stride = 2 * WIDTH + 16
+        self.words = (ctypes.c_uint16 * (self.stride // 2 * HEIGHT))()
 
-class Fake:
-    """A device or a recording that gives depth frames with numbers in them, every second capture without depth."""
+    def k4a_device_get_installed_count(self) -> int:
+        return len(self.serials)
 
-    serials = ("one", "two")
-    busy = False
-    count = 3
+    def k4a_device_open(self, index: int, handle: Any) -> int:
+        if index in self.busy or index in self.open:
+            return 1
+        self.open.append(index)
+        handle._obj.value = index + 1
+        return 0
 
-    def __init__(self, path: str = "", config: Any = None, device_id: int = 0) -> None:
-        self.path, self.serial, self.running = path, self.serials[device_id], False
-        self.calls = 0
-        self.calibration = self
+    def k4a_device_close(self, handle: Any) -> None:
+        self.open.remove(handle.value - 1)
 
-    def open(self) -> None:
-        if self.busy:
-            raise FakeError("busy")
-        self.running = True
+    def k4a_device_get_serialnum(self, handle: Any, text: Any, size: Any) -> int:
+        assert size._obj.value == len(text)
+        text.value = self.serials[handle.value - 1]
+        return 0
 
-    start = open
+    def k4a_device_start_cameras(self, handle: Any, configuration: Any) -> int:
+        asked = configuration._obj
+        assert (asked.depth_mode, asked.camera_fps, asked.color_resolution) == (2, 2, 0)
+        if not self.starts:
+            return 1
+        self.running.append(handle.value)
+        return 0
 
-    def stop(self) -> None:
-        self.running = False
+    def k4a_device_stop_cameras(self, handle: Any) -> None:
+        self.running.remove(handle.value)
 
-    close = stop
+    def k4a_device_get_calibration(self, handle: Any, mode: int, color: int, found: Any) -> int:
+        lens = found._obj.depth
+        lens.width, lens.height = WIDTH, HEIGHT
+        values = (320.5, 330.5, self.focal, 505.0, 0.52, -0.02, 0.006, 0.86, 0.105, 0.0, 0.0, 0.0, -2e-5, 1e-4)
+        for i, value in enumerate(values):
+            lens.values[i] = value
+        return 0
 
-    def get_camera_matrix(self, kind: str) -> np.ndarray:
-        assert kind == "depth"
-        return np.array([[504.0, 0, 320.5], [0, 505.0, 330.5], [0, 0, 1]])
+    def k4a_device_get_capture(self, handle: Any, capture: Any, timeout_ms: int) -> int:
+        assert handle.value in self.running
+        assert timeout_ms > 0
+        self.number += 1
+        if self.lost:
+            return 1
+        if self.number // 2 > self.count:
+            return 2
+        capture._obj.value = 1000 + self.number
+        self.held.append(1000 + self.number)
+        return 0
 
-    def get_distortion_coefficients(self, kind: str) -> np.ndarray:
-        return LENS
+    def k4a_capture_get_depth_image(self, capture: Any) -> int | None:
+        if self.number % 2:
+            return None
+        rows = np.frombuffer(self.words, np.uint16).reshape(HEIGHT, -1)
+        rows[:], rows[:, WIDTH:] = self.number // 2, 9
+        self.held.append(2000)
+        return 2000
 
-    def get_capture(self, timeout: int) -> Any:
-        assert self.running
-        self.calls += 1
-        number = self.calls // 2
-        if number > self.count:
-            raise EOFError if self.path else FakeTimeoutError("timeout")
-        depth = np.full((6, 8), number, np.uint16) if self.calls % 2 == 0 else None
-        return types.SimpleNamespace(depth=depth, depth_timestamp_usec=33_333 * number)
+    def k4a_capture_release(self, capture: Any) -> None:
+        self.held.remove(capture.value)
 
-    def get_next_capture(self) -> Any:
-        return self.get_capture(0)
+    def k4a_image_release(self, image: int) -> None:
+        self.held.remove(image)
+        np.frombuffer(self.words, np.uint16)[:] = 7  # the memory is used for something else
+
+    def k4a_image_get_buffer(self, image: int) -> int:
+        return ctypes.addressof(self.words)
+
+    def k4a_image_get_width_pixels(self, image: int) -> int:
+        return WIDTH
+
+    def k4a_image_get_height_pixels(self, image: int) -> int:
+        return HEIGHT
+
+    def k4a_image_get_stride_bytes(self, image: int) -> int:
+        return self.stride
+
+    def k4a_image_get_device_timestamp_usec(self, image: int) -> int:
+        return 33_333 * (self.number // 2)
 
 
 @pytest.fixture
-def sdk(monkeypatch: pytest.MonkeyPatch) -> Any:
-    names = types.SimpleNamespace
-    fake = names(
-        PyK4A=Fake, PyK4APlayback=Fake, K4AException=FakeError, K4ATimeoutException=FakeTimeoutError,
-        Config=names, ColorResolution=names(OFF=0), DepthMode=names(NFOV_UNBINNED=2), FPS=names(FPS_30=2),
-        CalibrationType=names(DEPTH="depth"), connected_device_count=lambda: len(Fake.serials),
-    )  # fmt: skip
-    monkeypatch.setattr(azure_kinect, "load_sdk", lambda: fake)
+def library(monkeypatch: pytest.MonkeyPatch) -> FakeK4a:
+    fake = FakeK4a()
+    monkeypatch.setattr(k4a, "load", lambda: fake)
+    monkeypatch.setattr(sdk, "usb_devices", list)
     return fake
 
 
-def test_frames_of_a_device(sdk: Any) -> None:
+def test_frames_of_a_device(library: FakeK4a) -> None:
     with AzureKinect("left", "two") as source:
         camera = source.camera
-        assert (camera.width, camera.height, camera.fx, camera.cy, camera.depth_unit_m) == (8, 6, 504.0, 330.5, 0.001)
-        frames = [source.read(0.1) for _ in range(3)]
+        assert library.running == [2]
+        assert (camera.width, camera.height, camera.depth_unit_m) == (WIDTH, HEIGHT, 0.001)
+        assert (camera.fx, camera.fy, camera.cx, camera.cy) == (504.0, 505.0, 320.5, 330.5)
+        assert camera.distortion[2:4] == pytest.approx((1e-4, -2e-5))
+        frames = [source.read(0.5) for _ in range(3)]
         assert [frame and frame.timestamp_ns for frame in frames] == [33_333_000, 66_666_000, 99_999_000]
-        assert [frame and int(frame.raw[0, 0]) for frame in frames] == [1, 2, 3]
-        assert frames[0] is not None
-        assert frames[0].clock == "azure two device"
-        with pytest.raises(NoFrame):
-            source.read(0.1)
+        for i, frame in enumerate(frames):
+            assert frame is not None
+            assert frame.raw.shape == (HEIGHT, WIDTH)
+            assert (frame.raw == i + 1).all()
+            assert frame.clock == "azure two device"
+        with pytest.raises(NoFrame, match="still connected"):
+            source.read(0.01)
+        assert library.held == []  # everything was given back
+    assert (library.running, library.open) == ([], [])
 
 
-def test_a_recording_ends(sdk: Any, tmp_path: Path) -> None:
-    (tmp_path / "x.mkv").write_bytes(b"")
-    with AzureKinect("left", str(tmp_path / "x.mkv")) as source:
-        assert len(list(source)) == 3
-    with pytest.raises(CameraError, match="not a file"):
-        AzureKinect("left", str(tmp_path / "y.mkv")).__enter__()
-
-
-def test_what_is_wrong_is_told(sdk: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_wrong_is_told(library: FakeK4a) -> None:
     assert [camera.spec for camera in find()] == ["azure:one", "azure:two"]
     with pytest.raises(CameraError, match="serial number three: connected are one, two"):
         AzureKinect("left", "three").__enter__()
-    monkeypatch.setattr(Fake, "busy", True)
-    assert all("in use" in camera.problem for camera in find())
-    with pytest.raises(CameraError, match="in use, connected by USB 2"):
+    with AzureKinect("left", "one") as source:
+        assert [camera.problem for camera in find()] == ["in use, or this user may not open it", ""]
+        library.lost = True
+        with pytest.raises(CameraError, match="'left' was lost: k4a_device_get_capture failed"):
+            source.read(0.5)
+    library.busy = {0, 1}
+    with pytest.raises(CameraError, match=r"cannot be started: it may be in use.*k4a_device_open failed"):
         AzureKinect("left").__enter__()
-    monkeypatch.setattr(Fake, "serials", ())
+    library.busy = set()
+    library.starts = False
+    with pytest.raises(CameraError, match="k4a_device_start_cameras failed"):
+        AzureKinect("left").__enter__()
+    library.starts, library.focal = True, 0.0
+    with pytest.raises(CameraError, match="no usable calibration"):
+        AzureKinect("left").__enter__()
+    assert (library.running, library.open) == ([], [])
+    library.serials = []
     with pytest.raises(CameraError, match="no Azure Kinect is connected"):
         AzureKinect("left").__enter__()
+    with pytest.raises(InputError, match=r"take\.mkv is a recording and no camera: give its path alone"):
+        make_sources(["azure:take.mkv"])
 
 
-def test_five_coefficients_stand_for_eight() -> None:
-    """Within half a pixel over the narrow mode's field."""
-    k1, k2, p1, p2, k3 = five_coefficients(LENS)
-    r = np.linspace(0, 0.95, 100)
-    r2 = r * r
-    full = (1 + r2 * (0.52 + r2 * (-0.02 + r2 * 0.006))) / (1 + r2 * (0.86 + r2 * 0.105))
-    ours = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    assert np.abs(r * (full - ours)).max() * 504 < 0.5
-    assert (p1, p2) == (1e-4, -2e-5)
-    five = np.array([0.1, -0.05, 0.001, 0.002, 0.01, 0, 0, 0])
-    assert five_coefficients(five) == pytest.approx(five[:5].tolist(), abs=1e-9)
+def test_the_library_itself() -> None:
+    """Its structures are laid out as ours, and it is asked as it wants to be."""
+    try:
+        library = k4a.load()
+    except InputError as error:
+        pytest.skip(str(error))
+    assert azure_kinect._serials() == [""] * library.k4a_device_get_installed_count()
+    with pytest.raises(k4a.K4aError, match="k4a_device_open failed"):
+        k4a.Device(library, 99)

@@ -3,7 +3,6 @@
 import contextlib
 import ctypes
 import sys
-import time
 import types
 from pathlib import Path
 from typing import Any
@@ -244,27 +243,3 @@ def test_a_file_by_openni_itself(real: Any, tmp_path: Path, mirror: int) -> None
     (tmp_path / "bad.oni").write_bytes((tmp_path / "take.oni").read_bytes()[:50_000])
     with pytest.raises(CameraError, match="no ONI file that OpenNI can read"):
         OpenNICamera("left", str(tmp_path / "bad.oni")).__enter__()
-
-
-def test_openni_own_dummy_device(real: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(CameraError, match="does not tell its field of view"):
-        OpenNICamera("left", "Dummy").__enter__()
-    monkeypatch.setattr(real.VideoStream, "get_horizontal_fov", lambda stream: 1.0)
-    monkeypatch.setattr(real.VideoStream, "get_vertical_fov", lambda stream: 0.8)
-    close = real.VideoStream._close
-
-    def close_after_a_frame(stream: Any) -> None:
-        stream.stop()
-        time.sleep(0.1)  # the dummy's thread uses its stream for a frame longer than it may
-        close(stream)
-
-    monkeypatch.setattr(real.VideoStream, "_close", close_after_a_frame)
-    for _ in range(2):  # it can be opened again
-        with OpenNICamera("left", "Dummy") as source:
-            frames = [source.read(5.0) for _ in range(3)]
-        numbers = [frame.number or 0 for frame in frames if frame]
-        assert len(numbers) == 3
-        assert (np.diff(numbers) > 0).all()  # on a busy machine some pass unseen
-        assert frames[0] is not None
-        assert (frames[0].raw[0] == 2000).all()  # its first row
-        assert frames[0].raw.shape == (240, 320)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fakes import Board, fake_pipeline
 
-from depthmocap.capture.mcap_recording import open_recording
+from depthmocap.capture.open import open_recording
 from depthmocap.capture.recording import RecordingWriter
 from depthmocap.errors import InputError
 from depthmocap.export import read_bvh, read_csv, read_trc

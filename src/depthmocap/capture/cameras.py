@@ -10,7 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from depthmocap.capture.mcap_recording import open_recording
+from depthmocap.capture.open import open_recording
 from depthmocap.capture.recorded import Pace, RecordedCamera, SyntheticCamera, SyntheticScene
 from depthmocap.capture.source import CameraError, DepthSource, FoundCamera
 from depthmocap.errors import InputError

@@ -17,8 +17,9 @@ from rich.progress import Progress
 from depthmocap.capture.depth_codec import Coding
 from depthmocap.capture.mcap_file import McapFile
 from depthmocap.capture.mcap_messages import COMPRESSED_IMAGE, RAW_IMAGE
-from depthmocap.capture.mcap_recording import McapRecording, open_recording
+from depthmocap.capture.mcap_recording import McapRecording
 from depthmocap.capture.mcap_writer import McapSink, McapWriter
+from depthmocap.capture.open import open_recording
 from depthmocap.capture.recording import Recording, RecordingWriter
 from depthmocap.errors import InputError
 

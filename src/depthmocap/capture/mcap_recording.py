@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt16
@@ -221,12 +220,3 @@ class McapRecording(Recording):
             except (ValueError, KeyError, TypeError):
                 raise InputError(f"{self.path}: the true joints at {message.log_time_ns} cannot be read") from None
         return sorted(rows, key=lambda row: row[0])
-
-
-def open_recording(path: Path) -> Recording:
-    """An MCAP file, by its name, or a recording folder.
-
-    Raises:
-        InputError: when it is neither.
-    """
-    return McapRecording(path) if path.suffix.lower() == ".mcap" else Recording(path)

@@ -1,6 +1,6 @@
 """Cameras with an OpenNI 2 driver (Xtion, Astra, Kinect 1, …) and its ONI files, through the package ``openni``.
 
-Tested with OpenNI's library, its driver of a device that does not exist and files it wrote; untested on hardware.
+Tested with OpenNI's own library on files; its devices against a fake of the package; untested on hardware.
 Timestamps are by the camera's own clock. OpenNI tells a field of view, and neither principal point nor distortion:
 calibrate such a camera, or take the middle of the picture as it is taken here.
 """

@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from depthmocap.capture.convert import timeline
-from depthmocap.capture.mcap_recording import open_recording
 from depthmocap.capture.mcap_writer import Topics, load_sdk
+from depthmocap.capture.open import open_recording
 from depthmocap.capture.recorded import Pace
 from depthmocap.capture.recording import Recording
 from depthmocap.errors import InputError

@@ -1,0 +1,25 @@
+"""Any recording by its path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from depthmocap.capture.mcap_recording import McapRecording
+from depthmocap.capture.mkv_recording import MkvRecording
+from depthmocap.capture.recording import Recording
+from depthmocap.errors import InputError
+
+_FILES: dict[str, type[Recording]] = {".mcap": McapRecording, ".mkv": MkvRecording}
+
+
+def open_recording(path: Path) -> Recording:
+    """An MCAP file or an Azure Kinect's MKV file, by the end of its name, or a recording folder.
+
+    Raises:
+        InputError: when it is none.
+    """
+    if path.suffix.lower() == ".oni":
+        raise InputError(
+            f"{path} is read by OpenNI: name it as a camera, as in depthmocap record openni:{path} --out take.mcap"
+        )
+    return _FILES.get(path.suffix.lower(), Recording)(path)
