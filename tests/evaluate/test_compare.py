@@ -101,3 +101,17 @@ def test_files_of_an_evaluation(tmp_path):
     (tmp_path / "n.html").mkdir()
     with pytest.raises(InputError, match=r"cannot write .*n\.html"):
         write_outputs(outputs, "Two sets", {"seen": numbers(0.04)})
+
+
+def test_settings_are_told_once_where_results_share_them(tmp_path):
+    shared = {"sets": ["seen", "new"], "weights": None}
+    for abouts, header in (
+        ((shared, shared), "<th>setting</th><th>value</th>"),
+        ((shared, {"sets": None, "weights": "net.onnx"}), "<th>setting</th><th>a</th><th>b</th>"),
+    ):
+        page = tmp_path / "n.html"
+        results = {name: numbers(0.04, about=about) for name, about in zip("ab", abouts, strict=True)}
+        write_outputs(Outputs(report=page), "title", results)
+        text = page.read_text()
+        assert header in text and "<td>seen, new</td>" in text
+        assert ("weights" in text) == ("net.onnx" in text) == (abouts[1] is not shared)

@@ -102,5 +102,7 @@ def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) ->
         numbers[name] = {"recipe": plain_settings(recipe), "seed": settings.seed, "clips": clips, **found}
         print_numbers(f"bench, {name}", found, console)
     kept = about(settings)
-    write_outputs(settings, "bench", {name: {"about": kept, **each} for name, each in numbers.items()}, numbers)
+    write_outputs(
+        settings, "Our own test sets", {name: {"about": kept, **each} for name, each in numbers.items()}, numbers
+    )
     return numbers

@@ -94,7 +94,8 @@ def reliability_diagram(found: Mapping[str, Reliability]) -> bytes:
         x, y, joints = np.array(each.confidence) * 100, np.array(each.within_10cm) * 100, np.array(each.joints)
         name = f"{label}: off by {each.calibration_error:.1%}" if joints.size else label
         axes.plot(x, y, color=_COLOURS[i % 6], linewidth=1.4, label=name)
-        axes.scatter(x, y, s=12 + 120 * np.sqrt(joints / max(joints.sum(), 1)), color=_COLOURS[i % 6])
+        sizes = 12 + 120 * np.sqrt(joints / max(joints.sum(), 1))
+        axes.scatter(x, y, s=sizes, color=_COLOURS[i % 6], clip_on=False, zorder=3)
     axes.set_xlim(0, 101)
     axes.set_ylim(0, 101)
     _label(axes, "confidence (%)", "joints within 10 cm (%)")

@@ -177,16 +177,32 @@ def report_sections(results: Mapping[str, Numbers]) -> list[ReportSection]:
     sections = [ReportSection("Numbers", tables=(table,), figures=(curves,))]
     sections += [_section(name, numbers, metrics[name]) for name, numbers in results.items()]
     problems = dict.fromkeys(problem for numbers in results.values() for problem in numbers.get("problems", []))
-    notes = [
-        f"{name}: {', '.join(f'{k} {v}' for k, v in numbers['about'].items() if v is not None)}."
-        for name, numbers in results.items()
-        if "about" in numbers
-    ]
-    if problems:
-        notes += ["Noticed while reading: " + "\n".join(problems)]
-    if notes:
-        sections.append(ReportSection("How it was measured", notes))
+    notes = ["Noticed while reading: " + "\n".join(problems)] if problems else []
+    tables = _settings({name: numbers["about"] for name, numbers in results.items() if "about" in numbers})
+    if notes or tables:
+        sections.append(ReportSection("How it was measured", notes, tables))
     return sections
+
+
+def _settings(by_result: Mapping[str, Mapping[str, Any]]) -> list[ReportTable]:
+    """Settings that are set; one column where all results have the same."""
+    columns = list(by_result.values())
+    header = ("setting", *by_result)
+    if columns and all(each == columns[0] for each in columns):
+        header, columns = ("setting", "value"), columns[:1]
+    keys = [
+        key
+        for key in dict.fromkeys(key for each in columns for key in each)
+        if any(each.get(key) is not None for each in columns)
+    ]
+    rows = [[key.replace("_", " "), *(_setting(each.get(key)) for each in columns)] for key in keys]
+    return [ReportTable(header, rows)] if rows else []
+
+
+def _setting(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return ", ".join(map(str, value))
+    return "–" if value is None else str(value)
 
 
 def _section(name: str, numbers: Numbers, metrics: JointMetrics) -> ReportSection:

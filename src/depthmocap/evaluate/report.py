@@ -65,6 +65,8 @@ figcaption { margin-top: 0.6rem; max-width: 42rem; }
   main { padding-top: 2rem; }
   h1 { font-size: 1.6rem; }
   th { white-space: normal; }
+  figure { overflow-x: auto; }
+  img.chart { max-width: none; width: auto; height: 17rem; }
   .table { margin-left: -1.25rem; margin-right: -1.25rem; padding: 0 1.25rem; }
 }
 @media print { section { break-inside: avoid; } }
