@@ -48,6 +48,7 @@ class Settings:
         quick: few runs, for a look.
         runs: timed runs of each function.
         threads: of the networks, ours and the references'; 0 for as many as this process may use.
+        seconds: that four cameras are run for without rest.
         recording: a recording for the whole pipeline instead of the packaged one.
     """
 
@@ -55,6 +56,7 @@ class Settings:
     quick: bool = False
     runs: int = 40
     threads: int = 0
+    seconds: float = 60.0
     recording: Path | None = None
 
 
@@ -104,6 +106,7 @@ def measure(settings: Settings, folder: Path, console: Console) -> Bench:
         "segmentation": pose_rows.segmentation,
         "joints": pose_rows.joints,
         "recording": record_rows.rows,
+        "four cameras": functools.partial(pose_rows.four_cameras, seconds=5.0 if settings.quick else settings.seconds),
         "whole pipeline": functools.partial(pose_rows.whole_pipeline, recording=settings.recording),
     }
     for name, group in groups.items():
