@@ -93,6 +93,13 @@ def test_recording_stops_in_time(folder: Path, tmp_path: Path) -> None:
     assert McapRecording(tmp_path / "x.mcap").complete
 
 
+def test_a_camera_of_the_rig_that_is_not_there_is_told(folder: Path, tmp_path: Path) -> None:
+    console = Console(record=True, width=150)
+    settings = RecordSettings((f"{folder}#a",), tmp_path / "x.mcap", rig=folder / "rig.json")
+    assert record(settings, console)["frames"] == {"a": 5}
+    assert "the rig has a camera 'b', but no source of that name was given" in console.export_text()
+
+
 def test_what_cannot_be_recorded(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="at least one camera"):
         record(RecordSettings((), tmp_path / "x.mcap"), QUIET)

@@ -217,7 +217,7 @@ def test_what_is_wrong_is_told(sdk: Any, monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(CameraError):
         OrbbecCamera("left").__enter__()
     monkeypatch.setattr(Fake, "serials", ("one", "one"))
-    with pytest.raises(CameraError, match="2 cameras of the kind orbbec have the serial number one"):
+    with pytest.raises(CameraError, match="2 cameras are orbbec:one"):
         OrbbecCamera("left", "one").__enter__()
     monkeypatch.setattr(Fake, "serials", ())
     with pytest.raises(CameraError, match="no Orbbec camera is connected"):

@@ -71,7 +71,7 @@ def test_choosing(monkeypatch: pytest.MonkeyPatch, usb: list[UsbDevice]) -> None
     assert MAKE.choose(["A", "B"], "") == 0
     with pytest.raises(CameraError, match="serial number X: connected are A, one that does not tell its number"):
         MAKE.choose(["A", ""], "X")
-    with pytest.raises(CameraError, match="2 cameras of the kind toy have the serial number A"):
+    with pytest.raises(CameraError, match="2 cameras are toy:A: connect one of them"):
         MAKE.choose(["A", "A"], "A")
     with pytest.raises(CameraError, match="no Toy camera can be used: it is connected by USB 2"):
         MAKE.choose([], "")
@@ -86,6 +86,11 @@ def test_the_list_tells_what_the_sdk_does_not_see(monkeypatch: pytest.MonkeyPatc
     assert [(each.spec, each.model, bool(each.problem)) for each in seen] == [
         ("toy:A", "Toy 2", False), ("toy:B", "Toy 2", True)
     ]  # fmt: skip
+    assert [bool(each.problem) for each in MAKE.found([("A", "Toy"), ("D", "Toy"), ("D", "Toy")])] == [
+        False,
+        True,
+        True,
+    ]
     unseen = {each.serial: each.problem for each in MAKE.found([])}
     assert set(unseen) == {"A", "B", "C"}
     assert "does not see it" in unseen["A"]

@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from depthmocap.capture import cameras
 from depthmocap.capture import source as capture_source
-from depthmocap.capture.cameras import find_cameras, make_sources, open_camera
+from depthmocap.capture.cameras import CamerasSettings, find_cameras, list_cameras, make_sources, open_camera
 from depthmocap.capture.recorded import Pace, RecordedCamera, SyntheticCamera, SyntheticScene
 from depthmocap.capture.recording import Recording, RecordingWriter
-from depthmocap.capture.source import CameraError, DepthFrame, DepthSource, NoFrame, place
-from depthmocap.errors import InputError
+from depthmocap.capture.source import CameraError, DepthFrame, DepthSource, FoundCamera, NoFrame, place, unsourced
+from depthmocap.errors import InputError, missing_extra
 from depthmocap.geometry import DepthCamera, Rig
 
 CAMERA = DepthCamera("cam0", 8, 6, 7.0, 7.0, 4.0, 3.0, depth_unit_m=0.0005)
@@ -219,6 +221,10 @@ def test_the_rig_places_a_camera_and_the_device_scales_it() -> None:
         place(DepthCamera("cam0", 16, 12, 9.0, 9.0, 4.0, 3.0), rig)
     with pytest.raises(CameraError, match="no camera 'other'"):
         place(DepthCamera("other", 8, 6, 9.0, 9.0, 4.0, 3.0), rig)
+    assert unsourced(rig, ["cam0"]) == []
+    assert unsourced(rig, ["other"]) == [
+        "the rig has a camera 'cam0', but no source of that name was given; going on without it"
+    ]
 
 
 def test_specs(recording: Recording, tmp_path: Path) -> None:
@@ -234,14 +240,40 @@ def test_specs(recording: Recording, tmp_path: Path) -> None:
         make_sources([path, f"{path}#cam0"])
     with pytest.raises(InputError, match="neither a recording nor a camera"):
         make_sources([str(tmp_path / "nothing")])
-    with pytest.raises(InputError, match="one device"):
-        make_sources(["a=realsense:123", "b=realsense:123"])
+    for pair in (("realsense:123", "realsense:123"), ("realsense", "realsense:123"), ("realsense:1", "realsense")):
+        with pytest.raises(InputError, match=rf"a={pair[0]} and b={pair[1]} may be one device"):
+            make_sources([f"a={pair[0]}", f"b={pair[1]}"])
+    makes = ["realsense:1", "realsense:2", "azure", "left=kinect2", "openni:1d27/0601@1/2", f"openni:{tmp_path}/b.oni"]
+    names = [source.name for source in make_sources(makes)]
+    assert names == ["realsense-1", "realsense-2", "azure", "left", "openni-1d27-0601-1-2", "openni-b"]
 
 
-def test_looking_for_cameras_never_fails() -> None:
+def test_looking_for_cameras_never_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every kind is listed, or told why not; one whose SDK fails or hangs does not keep the others from the list."""
     found, unable = find_cameras()
-    assert all("pip install" in reason or reason for reason in unable.values())
-    assert all(camera.spec for camera in found)
+    assert {camera.spec.partition(":")[0] for camera in found} | set(unable) <= set(cameras.BACK_ENDS)
+    here = FoundCamera("orbbec:7", "Femto", "7", "")
+    hang = threading.Event()
+
+    def fail() -> list[FoundCamera]:
+        raise RuntimeError("usb is broken")
+
+    def missing() -> list[FoundCamera]:
+        raise missing_extra("openni", "openni")
+
+    looks = {"realsense": fail, "azure": lambda: hang.wait(10), "orbbec": lambda: [here], "openni": missing}
+    for back_end, look in looks.items():
+        monkeypatch.setattr(f"{cameras.BACK_ENDS[back_end]}.find", look)
+    monkeypatch.setattr(cameras, "OPEN_S", 0.05)
+    monkeypatch.setattr(cameras, "BACK_ENDS", {name: cameras.BACK_ENDS[name] for name in looks})
+    console = Console(record=True, width=150)
+    assert list_cameras(CamerasSettings(), console) == [here]
+    hang.set()
+    text = console.export_text()
+    assert "orbbec:7" in text
+    assert "• realsense: its SDK failed: usb is broken" in text
+    assert "• azure: its SDK did not answer" in text
+    assert "• openni: this needs the package 'openni': pip install 'depthmocap[openni]'" in text
 
 
 def test_the_synthetic_scene_is_a_source_for_each_of_its_cameras() -> None:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
+from depthmocap.capture.hang import HangsError, within
 from depthmocap.capture.open import open_recording
 from depthmocap.capture.recorded import Pace, RecordedCamera, SyntheticCamera, SyntheticScene
-from depthmocap.capture.source import CameraError, DepthSource, FoundCamera
+from depthmocap.capture.source import OPEN_S, CameraError, DepthSource, FoundCamera
 from depthmocap.errors import InputError
 
 #: Module of each back end. It has ``find()``, the connected devices, and ``make(name, address)``, a source.
@@ -24,6 +26,8 @@ BACK_ENDS = {
     "openni": "depthmocap.capture.openni",
 }
 SYNTHETIC = "synthetic"
+#: Recordings of SDKs that are given like cameras.
+_FILES = (".oni",)
 
 
 def make_sources(specs: Sequence[str], pace: Pace | None = None) -> list[DepthSource]:
@@ -42,11 +46,13 @@ def make_sources(specs: Sequence[str], pace: Pace | None = None) -> list[DepthSo
         name, _, rest = spec.rpartition("=")
         back_end, _, address = rest.partition(":")
         if back_end in BACK_ENDS:
-            if rest in devices:
-                raise InputError(f"{spec} and {devices[rest]} are one device: give each its serial number")
+            for other, given in devices.items():
+                # One without a serial number is the first that is found, which may be any.
+                if other.partition(":")[0] == back_end and (other == rest or back_end in (other, rest)):
+                    raise InputError(f"{given} and {spec} may be one device: give each its own serial number")
             devices[rest] = spec
             module = importlib.import_module(BACK_ENDS[back_end])
-            sources.append(module.make(name or (f"{back_end}-{address}" if address else back_end), address))
+            sources.append(module.make(name or _called(back_end, address), address))
             continue
         if spec.partition("#")[0] == SYNTHETIC:
             scene = SyntheticScene()
@@ -72,6 +78,12 @@ def make_sources(specs: Sequence[str], pace: Pace | None = None) -> list[DepthSo
     return sources
 
 
+def _called(back_end: str, address: str) -> str:
+    """A camera's name where the user gives none: of signs that folders and topics may have."""
+    stem = Path(address).stem if Path(address).suffix.lower() in _FILES else address
+    return re.sub(r"[^\w.-]+", "-", f"{back_end}-{stem}" if stem else back_end)
+
+
 def _chosen(spec: str, names: Sequence[str]) -> Sequence[str]:
     _, one, name = spec.partition("#")
     return [name] if one else names
@@ -88,9 +100,13 @@ def find_cameras() -> tuple[list[FoundCamera], dict[str, str]]:
     unable: dict[str, str] = {}
     for back_end, module in BACK_ENDS.items():
         try:
-            found += importlib.import_module(module).find()
+            found += within(OPEN_S, importlib.import_module(module).find)
+        except HangsError:
+            unable[back_end] = f"its SDK did not answer for {OPEN_S:.0f} s: unplug its cameras and plug them in again"
         except InputError as error:
             unable[back_end] = str(error)
+        except Exception as error:  # whatever an SDK raises, the others are listed
+            unable[back_end] = f"its SDK failed: {error or type(error).__name__}"
     return found, unable
 
 

@@ -18,7 +18,7 @@ from depthmocap.capture.cameras import make_sources
 from depthmocap.capture.depth_codec import Coding
 from depthmocap.capture.mcap_writer import SHARED_CLOCK, McapWriter
 from depthmocap.capture.recorded import Pace
-from depthmocap.capture.source import CameraError, DepthSource, NoFrame, place
+from depthmocap.capture.source import CameraError, DepthSource, NoFrame, place, unsourced
 from depthmocap.errors import InputError
 from depthmocap.geometry import Rig, load_rig
 
@@ -80,6 +80,8 @@ def record(settings: RecordSettings, console: Console | None = None) -> dict[str
     with contextlib.ExitStack() as stack:
         for source in sources:
             stack.enter_context(source)
+        for problem in [] if rig is None else unsourced(rig, [source.name for source in sources]):
+            console.print(f"• {problem}", markup=False, highlight=False)
         cameras = tuple(source.camera if rig is None else place(source.camera, rig) for source in sources)
         backgrounds = {s.name: raw for s in sources if (raw := s.raw_background) is not None}
         up = rig.up if rig else sources[0].up

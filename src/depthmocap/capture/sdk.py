@@ -18,6 +18,7 @@ from depthmocap.geometry import DepthCamera
 
 #: The size and rate that cameras with several are asked for, as near as they have it.
 SIZE, RATE = (640, 480), 30
+_TWINS = "another has the same serial number: connect one of them"
 _UNSEEN = "its SDK does not see it: is another program using it?"
 
 
@@ -81,7 +82,12 @@ class Make:
         Where it sees none, those that are on USB all the same are listed, with the reason.
         """
         if cameras:
-            return [FoundCamera(self.spec(serial), model, serial, self.problem(serial)) for serial, model in cameras]
+            serials = [serial for serial, _ in cameras]
+            problems = [_TWINS if each and serials.count(each) > 1 else self.problem(each) for each in serials]
+            return [
+                FoundCamera(self.spec(serial), model, serial, problem)
+                for (serial, model), problem in zip(cameras, problems, strict=True)
+            ]
         return [
             FoundCamera(self.spec(usb.serial), usb.name or self.name, usb.serial, usb.problem(self.usb3) or _UNSEEN)
             for usb in self.connected()
@@ -104,7 +110,7 @@ class Make:
             known = ", ".join(serial or "one that does not tell its number" for serial in serials)
             raise CameraError(f"no {self.name} has the serial number {wanted}: connected are {known}")
         if len(matching) > 1:
-            raise CameraError(f"{len(matching)} cameras of the kind {self.kind} have the serial number {wanted}")
+            raise CameraError(f"{len(matching)} cameras are {self.spec(wanted)}: connect one of them")
         return matching[0]
 
     def failed(self, camera: str, error: object, serial: str = "") -> CameraError:

@@ -16,7 +16,7 @@ import contextlib
 import dataclasses
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from types import TracebackType
 from typing import TypeVar
 
@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import UInt16
 from numpy import ndarray
 
+from depthmocap.capture.hang import HangsError, within
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
 
@@ -39,7 +40,7 @@ class CameraError(InputError):
     """A camera cannot be used, or was lost. The message says why, and what to do."""
 
 
-class _Hangs(CameraError):  # noqa: N818
+class _StuckError(CameraError):
     """A call of an SDK does not return."""
 
 
@@ -142,44 +143,17 @@ class DepthSource(abc.ABC):
             self._pump = None
         if self._camera is not None:
             self._camera = None
-            with contextlib.suppress(_Hangs):  # left behind: it is told when the camera is opened again
+            with contextlib.suppress(_StuckError):  # left behind: it is told when the camera is opened again
                 self._within(CLOSE_S, self._close)
 
     def _within(self, limit_s: float, call: Callable[[], _Result], undo: Callable[[], None] | None = None) -> _Result:
-        """What ``call`` returns or raises. After ``limit_s`` it is left behind, and undone should it return later."""
-        outcome: list[tuple[_Result | None, BaseException | None]] = []
-        left, lock = False, threading.Lock()
-
-        def run() -> None:
-            result, error = None, None
-            try:
-                result = call()
-            except BaseException as raised:  # raised again where it was called
-                error = raised
-            with lock:
-                outcome.append((result, error))
-                if not left:
-                    return
-            if error is None and undo is not None:
-                undo()
-
-        # A daemon, because a call of an SDK that never returns must not keep the process alive.
-        thread = threading.Thread(target=run, name=f"call for {self.name}", daemon=True)
-        thread.start()
         try:
-            thread.join(limit_s)
-        finally:  # Ctrl-C as well
-            with lock:
-                left = not outcome
-        if left:
-            self._stuck = thread
-            raise _Hangs(
+            return within(limit_s, call, undo)
+        except HangsError as error:
+            self._stuck = error.thread
+            raise _StuckError(
                 f"camera {self.name!r} hangs in a call of its SDK ({limit_s:.0f} s): unplug it and plug it in again"
-            )
-        result, error = outcome[0]
-        if error is not None:
-            raise error
-        return result  # pyright: ignore[reportReturnType]
+            ) from None
 
     def _patiently(self, timeout_s: float) -> DepthFrame | None:
         """What ``_read`` gives; a camera that was silent for longer than its patience is lost."""
@@ -280,6 +254,15 @@ class _Pump:
     def stop(self) -> None:
         self._stopping = True
         self._thread.join(2 * _POLL_S)
+
+
+def unsourced(rig: Rig, names: Collection[str]) -> list[str]:
+    """A line for each camera of the rig that is not among the sources of these names."""
+    return [
+        f"the rig has a camera {name!r}, but no source of that name was given; going on without it"
+        for name in rig.names
+        if name not in names
+    ]
 
 
 def place(camera: DepthCamera, rig: Rig) -> DepthCamera:

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import Protocol, runtime_checkable
 
-from depthmocap.capture.source import DepthFrame, DepthSource, NoFrame, place
+from depthmocap.capture.source import DepthFrame, DepthSource, NoFrame, place, unsourced
 from depthmocap.capture.stamps import frame_period_ns
 from depthmocap.capture.sync import SyncedSet, SyncSettings
 from depthmocap.errors import InputError
@@ -81,9 +81,8 @@ class Gatherer:
         self._thread = threading.Thread(target=self._run, name="sets", daemon=True)
         for source in sources:
             self.add(source)
-        for name in rig.names if rig else ():
-            if name not in self._readers:
-                self.note(f"the rig has a camera {name!r}, but no source of that name was given; going on without it")
+        for problem in unsourced(rig, self._readers) if rig else ():
+            self.note(problem)
 
     def add(self, source: DepthSource) -> None:
         """Read one more camera from now on.
