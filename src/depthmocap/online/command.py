@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.live import Live
 
 from depthmocap.capture.cameras import make_sources
-from depthmocap.capture.open import open_recording
 from depthmocap.capture.mcap_writer import SHARED_CLOCK, McapWriter
+from depthmocap.capture.open import open_recording
 from depthmocap.capture.recorded import Pace
 from depthmocap.capture.source import DepthFrame
 from depthmocap.capture.sync import SyncSettings
