@@ -19,8 +19,8 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet
 from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
-from depthmocap.pose.cloud import LabelledView, merge_views
-from depthmocap.pose.estimate import MIN_CLOUD_POINTS, JointEstimator
+from depthmocap.pose.cloud import MIN_CLOUD_POINTS, LabelledView, merge_views
+from depthmocap.pose.estimate import JointEstimator
 from depthmocap.pose.parts import AREA, CENTRE, PROBABILITY, BodyFrame, body_frame, part_statistics
 
 

@@ -20,6 +20,8 @@ from depthmocap.kernels.cloud import unproject_labelled
 #: Labels of a view: the network's, or its true ones.
 Labels = Literal["network", "true"]
 LABELS: tuple[Labels, ...] = ("network", "true")
+#: Clouds with fewer points hold no person.
+MIN_CLOUD_POINTS = 50
 
 
 class LabelledView(NamedTuple):

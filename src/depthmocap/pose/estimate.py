@@ -13,12 +13,11 @@ from numpy import ndarray
 from depthmocap.body.regions import REGION, REGION_COUNT
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
-from depthmocap.pose.cloud import LabelledCloud, Labels
+from depthmocap.pose.cloud import MIN_CLOUD_POINTS, LabelledCloud, Labels
 from depthmocap.pose.features import Features, cloud_features
 from depthmocap.pose.ridge import RidgeBank
+from depthmocap.pose.votes import VotesEstimator
 
-#: Clouds with fewer points hold no person.
-MIN_CLOUD_POINTS = 50
 #: Points near a joint from which more points add no confidence: a hand, half seen by a Kinect 2 at 3 m, has so many.
 FULL_POINTS = 100
 #: Confidence of a joint near which nothing was seen: its position comes from the rest of the body.
@@ -109,8 +108,6 @@ def load_estimator(source: str | Path = "votes", labels: Labels = "network") -> 
         InputError: for another name, or a file that cannot be read.
     """
     if source == "votes" or Path(source).suffix == ".onnx":
-        from depthmocap.pose.votes import VotesEstimator
-
         return VotesEstimator(None if source == "votes" else Path(source))
     if source == "ridge":
         weights = importlib.resources.files("depthmocap.pose") / "weights"

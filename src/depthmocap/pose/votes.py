@@ -13,8 +13,7 @@ from numpy import ndarray
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
-from depthmocap.pose.cloud import LabelledCloud
-from depthmocap.pose.estimate import MIN_CLOUD_POINTS
+from depthmocap.pose.cloud import MIN_CLOUD_POINTS, LabelledCloud
 from depthmocap.pose.parts import body_frame, network_inputs, part_statistics
 
 if TYPE_CHECKING:
