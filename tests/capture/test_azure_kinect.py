@@ -144,7 +144,7 @@ def test_what_is_wrong_is_told(library: FakeK4a) -> None:
     with AzureKinect("left", "one") as source:
         assert [camera.problem for camera in find()] == ["in use, or this user may not open it", ""]
         library.lost = True
-        with pytest.raises(CameraError, match="'left' was lost: k4a_device_get_capture failed"):
+        with pytest.raises(CameraError, match="'left' failed: k4a_device_get_capture failed"):
             source.read(0.5)
     library.busy = {0, 1}
     with pytest.raises(CameraError, match=r"cannot be started: it may be in use.*k4a_device_open failed"):

@@ -194,7 +194,7 @@ def test_what_is_wrong_is_told(sdk: Any, monkeypatch: pytest.MonkeyPatch) -> Non
     with OrbbecCamera("left") as source:
         source.read(0.5)
         monkeypatch.setattr(Fake, "lost", "usb gone")
-        with pytest.raises(CameraError, match="was lost: usb gone"):
+        with pytest.raises(CameraError, match="failed: usb gone"):
             source.read(0.5)
     monkeypatch.setattr(Fake, "lost", "")
     for said, told in (

@@ -120,7 +120,7 @@ def test_a_camera_that_stays_silent_is_lost() -> None:
         source.patience_s = 0.05
         with pytest.raises(NoFrame):
             source.read()
-        with pytest.raises(CameraError, match=r"lost.*unplugged") as caught:
+        with pytest.raises(CameraError, match="was it unplugged") as caught:
             for _ in range(100):
                 with contextlib.suppress(NoFrame):
                     source.read()

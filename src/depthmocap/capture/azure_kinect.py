@@ -96,7 +96,7 @@ class AzureKinect(DepthSource):
             try:
                 depth = self._device.depth(max(1, round(left_s * 1e3)))
             except k4a.K4aError as error:
-                raise CameraError(f"camera {self.name!r} was lost: {error}") from None
+                raise CameraError(f"camera {self.name!r} failed: {error}") from None
             if depth is not None:
                 arrival_ns = time.monotonic_ns()
                 raw, timestamp_us = depth

@@ -182,7 +182,7 @@ class OpenNICamera(DepthSource):
                 raise NoFrame(f"camera {self.name!r} gave no frame for {timeout_s:.1f} s: is it still connected?")
             frame = self._stream.read_frame()
         except self._sdk.OpenNIError as error:
-            raise CameraError(f"camera {self.name!r} was lost: {_said(error)}") from None
+            raise CameraError(f"camera {self.name!r} failed: {_said(error)}") from None
         arrival_ns = time.monotonic_ns()
         rows = np.ctypeslib.as_array(frame.get_buffer_as_uint16()).reshape(frame.height, frame.stride // 2)
         raw = np.array(rows[:, : frame.width][:, :: -1 if self._mirrored else 1])  # a copy: OpenNI reuses its buffers

@@ -96,7 +96,7 @@ class OrbbecCamera(DepthSource):
             try:
                 frames = self._pipeline.wait_for_frames(max(1, round(left_s * 1e3)))
             except (self._sdk.OBError, RuntimeError) as error:
-                raise CameraError(f"camera {self.name!r} was lost: {error}") from None
+                raise CameraError(f"camera {self.name!r} failed: {error}") from None
             if frames is not None and (depth := frames.get_depth_frame()) is not None:
                 return depth
         raise NoFrame(f"camera {self.name!r} gave no frame for {timeout_s:.1f} s: is it still connected?")

@@ -164,7 +164,7 @@ class DepthSource(abc.ABC):
             self._silent_s += time.monotonic() - begun_s  # only while somebody listened
             if self._silent_s > self.patience_s:
                 raise CameraError(
-                    f"camera {self.name!r} was lost: no frame for {self._silent_s:.0f} s; was it unplugged?"
+                    f"camera {self.name!r} gave no frame for {self._silent_s:.0f} s: was it unplugged?"
                 ) from error
             raise
         self._silent_s = 0.0
