@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 from rich.console import Console
+from rich.progress import track
 from rich.table import Table
 
 from depthmocap.body.skeleton import JOINT_INDEX
@@ -93,22 +94,26 @@ def evaluate_people(settings: PeopleEvaluation, console: Console | None = None) 
     """Make the scenes, follow the people in them and print what became of it; returns the numbers."""
     console = console or Console(stderr=True)
     rng = np.random.default_rng(settings.seed)
-    known: list[dict[str, Any]] = []
-    learnt: list[dict[str, Any]] = []
+    known, learnt = Following(), Following()
     errors: dict[str, list[ndarray]] = {}
     for index in range(settings.scenes):
-        with console.status(f"scene {index + 1} of {settings.scenes}"):
-            encounter = Encounter(rng, settings.cameras, settings.rate_hz, settings.apart_m)
-            moments = list(encounter.moments())
-            known.append(follow_people(encounter.backgrounds_m, moments))
-            learnt.append(follow_people({}, moments))
-            if settings.joints:
-                for name, found in _first_joints(encounter, moments).items():
-                    errors.setdefault(name, []).append(found)
+        encounter = Encounter(rng, settings.cameras, settings.rate_hz, settings.apart_m)
+        known.begin(PeopleSegmenter(encounter.backgrounds_m, people=2))
+        learnt.begin(PeopleSegmenter({}, people=2))
+        joints = FirstJoints(encounter) if settings.joints else None
+        description = f"scene {index + 1} of {settings.scenes}"
+        for moment in track(encounter.moments(), description, len(encounter.times_s), console=console, transient=True):
+            known.add(moment)
+            learnt.add(moment)
+            if joints is not None:
+                joints.add(moment)
+        if joints is not None:
+            for name, found in joints.finish(encounter.moments((True, False))).items():
+                errors.setdefault(name, []).append(found)
     numbers: dict[str, Any] = {
         "settings": plain_settings(settings),
-        "background known": _pooled(known),
-        "background learnt": _pooled(learnt),
+        "background known": known.numbers(),
+        "background learnt": learnt.numbers(),
     }
     if errors:
         numbers["first person's joints, cm"] = {name: _error_row(found) for name, found in errors.items()}
@@ -119,54 +124,72 @@ def evaluate_people(settings: PeopleEvaluation, console: Console | None = None) 
     return numbers
 
 
-def follow_people(backgrounds_m: Mapping[str, Float[ndarray, "_ _"]], moments: Sequence[Moment]) -> dict[str, Any]:
-    """What became of the people in one scene: overlaps of the masks, numbers given, delays and time."""
-    for moment in moments[:2]:  # compiles, which is not to count
-        PeopleSegmenter(backgrounds_m, people=2)(moment.frames)
-    segmenter = PeopleSegmenter(backgrounds_m, people=2)
-    overlaps: list[list[float]] = [[], []]
-    numbers: list[list[int]] = [[], []]
-    first_s: list[list[float]] = [[], []]
-    #: When each came into view, and whether they are still waited for.
-    came_s, awaited = [np.nan, np.nan], [False, False]
-    ghosts = 0
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    spent_s = 0.0
-    for moment in moments:
+class Following:
+    """What becomes of the people in scenes: overlaps of their masks, numbers given, delays, and time spent."""
+
+    def __init__(self) -> None:
+        self._overlaps: list[float] = []
+        self._first_s: list[float] = []
+        self._ghosts = self._sets = self._views = self._switches = 0
+        self._spent_s = 0.0
+
+    def begin(self, segmenter: PeopleSegmenter) -> None:
+        """Begin a scene."""
+        self._segmenter = segmenter
+        self._numbers: list[int | None] = [None, None]
+        #: When each came into view, and whether they are still waited for.
+        self._came_s, self._awaited = [np.nan, np.nan], [False, False]
+
+    def add(self, moment: Moment) -> None:
+        """Follow into the next set."""
+        if not self._sets:  # compiles, which is not to count
+            self._segmenter(moment.frames)
+            self._segmenter.reset()
+        threads = cv2.getNumThreads()
+        cv2.setNumThreads(1)  # threads that wait count as work
         start = time.process_time()
-        people = segmenter(moment.frames)
-        spent_s += time.process_time() - start
-        now_s = moment.frames.timestamp_ns * 1e-9
-        taken = set()
+        people = self._segmenter(moment.frames)
+        self._spent_s += time.process_time() - start
+        cv2.setNumThreads(threads)
+        self._sets += 1
+        self._views += len(moment.frames.views)
+        now_s, taken = moment.frames.timestamp_ns * 1e-9, set()
         for k, true in enumerate(moment.masks):
             if surface_m2(moment.frames, true) < IN_VIEW_M2:
-                came_s[k] = np.nan
+                self._came_s[k] = np.nan
                 continue
-            if np.isnan(came_s[k]):
-                came_s[k], awaited[k] = now_s, True
+            if np.isnan(self._came_s[k]):
+                self._came_s[k], self._awaited[k] = now_s, True
             best, number = max(((overlap(own.masks, true), own.number) for own in people), default=(0.0, 0))
-            overlaps[k].append(best)
-            if best >= FOUND:
-                numbers[k].append(number)
-                taken.add(number)
-                if awaited[k]:
-                    first_s[k].append(now_s - came_s[k])
-                awaited[k] = False
+            self._overlaps.append(best)
+            if best < FOUND:
+                continue
+            taken.add(number)
+            self._switches += self._numbers[k] not in (None, number)
+            self._numbers[k] = number
+            if self._awaited[k]:
+                self._first_s.append(now_s - self._came_s[k])
+            self._awaited[k] = False
         for own in people:
-            if own.number not in taken:
-                seen = surface_m2(moment.frames, own.masks) >= IN_VIEW_M2
-                true = max((overlap(own.masks, true) for true in moment.masks), default=0.0)
-                ghosts += seen and true < 0.2
-    cv2.setNumThreads(threads)
-    return {
-        "overlaps": [value for own in overlaps for value in own],
-        "switches": sum(int(np.count_nonzero(np.diff(own))) for own in numbers),
-        "first_s": [value for own in first_s for value in own],
-        "ghost_sets": ghosts,
-        "sets": len(moments),
-        "ms_per_view": spent_s * 1e3 / sum(len(moment.frames.views) for moment in moments),
-    }
+            if own.number not in taken and surface_m2(moment.frames, own.masks) >= IN_VIEW_M2:
+                self._ghosts += max(overlap(own.masks, true) for true in moment.masks) < 0.2
+
+    def numbers(self) -> dict[str, float]:
+        """What became of all."""
+        overlaps, first_s = np.array(self._overlaps), np.array(self._first_s)
+        return {
+            "persons_in_sets": len(overlaps),
+            "overlap_mean": float(overlaps.mean()),
+            "overlap_p5": float(np.quantile(overlaps, 0.05)),
+            "found_share": float((overlaps >= FOUND).mean()),
+            "switches": self._switches,
+            "arrivals": len(first_s),
+            "first_mask_s_p50": float(np.median(first_s)),
+            "first_mask_s_most": float(first_s.max()),
+            "ghost_sets": self._ghosts,
+            "sets": self._sets,
+            "cpu_ms_per_view": self._spent_s * 1e3 / self._views,
+        }
 
 
 def overlap(found: Masks, true: Masks) -> float:
@@ -184,31 +207,40 @@ def surface_m2(frames: FrameSet, masks: Masks) -> float:
     )
 
 
-def _first_joints(encounter: Encounter, moments: Sequence[Moment]) -> dict[str, Float[ndarray, "n 2"]]:
-    """Mean error of the first person's joints (cm, NaN where missing) and distance to the second (metres), by way of
-    finding the person."""
-    alone = list(encounter.moments((True, False)))
-    true = [_with_masks(moment) for moment in moments]
-    rows = {
-        "with true masks": (_True(), true),
-        "by all cameras": (PeopleSegmenter(encounter.backgrounds_m), [moment.frames for moment in moments]),
-        "by each view": (_EachView(PersonSegmenter(encounter.backgrounds_m)), [m.frames for m in moments]),
-        "alone": (PeopleSegmenter(encounter.backgrounds_m), [moment.frames for moment in alone]),
-    }
-    gaps = np.array([np.linalg.norm(m.joints[0][_HIP, :2] - m.joints[1][_HIP, :2]) for m in moments])
-    return {
-        name: np.stack([joint_errors_cm(segmenter, frames, [m.joints[0] for m in moments]), gaps], 1)
-        for name, (segmenter, frames) in rows.items()
-    }
+class FirstJoints:
+    """Errors of the first person's joints, by ways of finding the person; nothing is smoothed."""
 
+    def __init__(self, encounter: Encounter) -> None:
+        classifier, estimator = Classifier(), load_estimator()
+        ways: dict[str, Segmenter] = {
+            "with true masks": _True(),
+            "by all cameras": PeopleSegmenter(encounter.backgrounds_m),
+            "by each view": _EachView(PersonSegmenter(encounter.backgrounds_m)),
+            "alone": PeopleSegmenter(encounter.backgrounds_m),
+        }
+        self._pipelines = {name: Pipeline(classifier, estimator, way) for name, way in ways.items()}
+        self._errors: dict[str, list[float]] = {name: [] for name in ways}
+        self._gaps: list[float] = []
 
-def joint_errors_cm(
-    segmenter: Segmenter, frames: Iterable[FrameSet], truths: Sequence[Float[ndarray, "18 3"]]
-) -> Float[ndarray, " n"]:
-    """Mean distance of a set's joints from the truth; NaN where there is no truth or no estimate."""
-    pipeline = Pipeline(Classifier(), load_estimator(), segmenter)
-    found = [pipeline(each).pose.joints for each in frames]
-    return 100 * np.linalg.norm(np.stack(found) - np.stack(truths), axis=2).mean(1)
+    def add(self, moment: Moment) -> None:
+        """Estimate with the second person there."""
+        if np.isfinite(moment.joints[0]).all():
+            self._gaps.append(float(np.linalg.norm(moment.joints[0][_HIP, :2] - moment.joints[1][_HIP, :2])))
+        for name in self._pipelines:
+            if name != "alone":
+                self._estimate(name, _with_masks(moment) if name == "with true masks" else moment.frames)
+
+    def finish(self, alone: Iterable[Moment]) -> dict[str, Float[ndarray, "n 2"]]:
+        """Estimate without the second person; errors (cm, NaN where missing) and distances of the two (metres)."""
+        for moment in alone:
+            self._estimate("alone", moment.frames)
+        return {name: np.stack([errors, self._gaps], 1) for name, errors in self._errors.items()}
+
+    def _estimate(self, name: str, frames: FrameSet) -> None:
+        assert frames.true_joints is not None
+        joints = self._pipelines[name](frames).pose.joints
+        if np.isfinite(frames.true_joints).all():  # in the room
+            self._errors[name].append(100 * float(np.linalg.norm(joints - frames.true_joints, axis=1).mean()))
 
 
 def _with_masks(moment: Moment) -> FrameSet:
@@ -218,27 +250,9 @@ def _with_masks(moment: Moment) -> FrameSet:
     return dataclasses.replace(moment.frames, views=tuple(views))
 
 
-def _pooled(scenes: Sequence[dict[str, Any]]) -> dict[str, float]:
-    overlaps = np.concatenate([scene["overlaps"] for scene in scenes])
-    first_s = np.concatenate([scene["first_s"] for scene in scenes])
-    return {
-        "persons_in_sets": len(overlaps),
-        "overlap_mean": float(overlaps.mean()),
-        "overlap_p5": float(np.quantile(overlaps, 0.05)),
-        "found_share": float((overlaps >= FOUND).mean()),
-        "switches": sum(scene["switches"] for scene in scenes),
-        "arrivals": len(first_s),
-        "first_mask_s_p50": float(np.median(first_s)),
-        "first_mask_s_most": float(first_s.max()),
-        "ghost_sets": sum(scene["ghost_sets"] for scene in scenes),
-        "sets": sum(scene["sets"] for scene in scenes),
-        "cpu_ms_per_view": float(np.mean([scene["ms_per_view"] for scene in scenes])),
-    }
-
-
 def _error_row(scenes: Sequence[Float[ndarray, "_ 2"]]) -> dict[str, float]:
     errors, gaps = np.concatenate(scenes).T
-    near = gaps < NEAR_M
+    near = gaps < NEAR_M  # NaN while one of them is not there
     return {
         "mean": float(np.nanmean(errors)),
         "near": float(np.nanmean(errors[near])),

@@ -21,13 +21,15 @@ def find_candidates(depth_m, limit_m, out):
 @numba.njit(cache=True, nogil=True)
 def place_candidates(
     candidate, depth_m, limit_m, rays, intrinsics, plan_from_camera, plan, fewest, flying_m, far_m, pixels, columns,
-    levels,
+    levels, sure,
 ):  # fmt: skip
-    """Candidates that are no noise: their pixels, and their columns and levels of the plan; their number.
+    """Candidates that are no noise: their pixels, their columns and levels of the plan, and whether they are surely
+    before something; their number.
 
     A pixel counts with ``fewest`` candidates in its 3×3, unless it hangs ``flying_m`` behind one and before another of
     its neighbours. ``plan`` is (columns in x, columns in y, levels, cell in metres, lowest height, least height of what
-    has no background, which is a limit of ``far_m``); ``plan_from_camera`` has the origin at a corner, z = 0 the floor.
+    has no background, which is a limit of ``far_m``; where it is not known yet the limit is larger).
+    ``plan_from_camera`` has the origin at a corner, z = 0 the floor.
     """
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
@@ -64,6 +66,7 @@ def place_candidates(
             pixels[found] = v * width + u
             columns[found] = int(north) * nx + int(east)
             levels[found] = int(level)
+            sure[found] = limit_m[v, u] <= far_m
             found += 1
     return found
 
@@ -207,24 +210,30 @@ def paint(pixels, columns, levels, owners, volume, out):
 
 
 @numba.njit(cache=True, nogil=True)
-def follow_background(depth_m, occupied, background_m, other_m, age, needs, margin_m, margin_per_m, rate):
+def follow_background(depth_m, occupied, background_m, empty, other_m, age, needs, margin_m, margin_per_m, rate):
     """One look at the scene: known backgrounds move towards what is seen near them by the share ``rate``; another depth
     that was seen often enough takes their place.
 
     ``other_m`` is what is seen instead, ``age`` for how many looks. ``needs`` is how many make a background where none
     is known, where it is farther than the known one, and where it is nearer. ``occupied`` pixels are people's: nothing
-    is learnt there.
+    is learnt there. Where nothing is seen for as long as makes a background, there is none: ``empty`` becomes 1.
     """
     new, farther, nearer = needs
     for v in range(depth_m.shape[0]):
         for u in range(depth_m.shape[1]):
             z = depth_m[v, u]
-            if not z > 0:
-                continue
             if occupied[v, u]:
                 age[v, u] = 0
                 continue
             known = background_m[v, u]
+            if not z > 0:
+                if not known > 0:
+                    age[v, u] = age[v, u] + 1 if other_m[v, u] == 0 else 1
+                    other_m[v, u] = 0
+                    if age[v, u] >= new:
+                        empty[v, u] = 1
+                        age[v, u] = 0
+                continue
             margin = margin_m + margin_per_m * z * z
             if known > 0 and abs(z - known) <= margin:
                 background_m[v, u] = known + rate * (z - known)

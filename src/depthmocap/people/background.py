@@ -66,7 +66,8 @@ class Background:
     """One camera's empty scene over time.
 
     Attributes:
-        limit_m: depth below which a pixel is in front of it; ``FAR_M`` where it is not known.
+        limit_m: depth below which a pixel is in front of it; ``FAR_M`` where the room is out of range, and more where
+            nothing is known yet.
         learning: whether hardly anything is known yet of what stands still.
     """
 
@@ -74,7 +75,10 @@ class Background:
         """Begin with a known empty scene, or with none: then whatever stays where it is becomes the background."""
         known = np.zeros(shape) if background_m is None else background_m
         self.background_m = known.astype(np.float32)
-        self.limit_m = limit_m(self.background_m)
+        self._empty = (self.background_m == 0).astype(np.uint8)
+        if background_m is None:
+            self._empty[:] = 0
+        self.limit_m = self._limit_m()
         self._other_m = np.zeros(shape, np.float32)
         self._age = np.zeros(shape, np.uint8)
         self.learning = background_m is None
@@ -96,9 +100,15 @@ class Background:
         size = 2 * NEAR_PEOPLE + 1
         occupied = cv2.dilate(people.view(np.uint8), np.ones((size, size), np.uint8))
         follow_background(
-            depth_m, occupied, self.background_m, self._other_m, self._age, NEEDS, MARGIN_M, MARGIN_PER_M, RATE
-        )
-        self.limit_m = limit_m(self.background_m)
+            depth_m, occupied, self.background_m, self._empty, self._other_m, self._age, NEEDS, MARGIN_M, MARGIN_PER_M,
+            RATE,
+        )  # fmt: skip
+        self.limit_m = self._limit_m()
         if self.learning:
             room = (depth_m > 0) & (occupied == 0)
-            self.learning = np.count_nonzero(room & (self.background_m > 0)) < LEARNT * np.count_nonzero(room)
+            self.learning = bool(np.count_nonzero(room & (self.background_m > 0)) < LEARNT * np.count_nonzero(room))
+
+    def _limit_m(self) -> Float[ndarray, "h w"]:
+        limit = limit_m(self.background_m)
+        limit[(limit >= FAR_M) & (self._empty == 0)] = 2 * FAR_M
+        return limit

@@ -67,9 +67,9 @@ class Divider:
                 measured[label] = Part(place, float(tops[label]), float(bottoms[label]), float(areas[label, 0]))
         return measured
 
-    def _row(self, track: Track) -> list[float]:
+    def _row(self, track: Track) -> list[float | int]:
         moved = track.expected_m - self._then_m.get(track.label, track.expected_m)
-        return [track.label, *(track.expected_m / CELL_M), *np.round(moved / CELL_M)]
+        return [track.label, *(track.expected_m / CELL_M).tolist(), *np.round(moved / CELL_M).tolist()]
 
     def remember(
         self, plan: Plan, views: Sequence[Foreground], owners: UInt8[ndarray, " columns"], tracks: Sequence[Track]

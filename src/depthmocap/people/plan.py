@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from depthmocap.geometry import DepthCamera, transform_points
@@ -42,9 +42,22 @@ class Foreground:
     pixels: Int[ndarray, " n"]
     columns: Int[ndarray, " n"]
     levels: UInt8[ndarray, " n"]
+    #: 1 where the background is known to be behind, or to be out of range.
+    sure: UInt8[ndarray, " n"]
     pixel_m2: float
     #: Whether it tells what stands in the room: not while the camera still learns what belongs to it.
     trusted: bool = True
+
+    def without_unsure(self, near: Bool[ndarray, " columns"]) -> Foreground:
+        """Of what is before an unknown background only that in these columns: elsewhere it is the background, come to
+        light. A camera that still learns is left as it is."""
+        keep = self.sure.view(np.bool_)
+        if not self.trusted or keep.all():
+            return self
+        keep = keep | near[self.columns]
+        return dataclasses.replace(
+            self, pixels=self.pixels[keep], columns=self.columns[keep], levels=self.levels[keep], sure=self.sure[keep]
+        )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -102,16 +115,16 @@ class Plan:
         candidate = np.empty(depth_m.shape, np.uint8)
         count = find_candidates(depth_m, limit_m, candidate)
         pixels, columns = np.empty(count, np.int32), np.empty(count, np.int32)
-        levels = np.empty(count, np.uint8)
+        levels, sure = np.empty(count, np.uint8), np.empty(count, np.uint8)
         nx, ny, nz = self.shape
         found = place_candidates(
             candidate, depth_m, limit_m, camera.rays if any(camera.distortion) else _NO_RAYS,
             (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)),
             self.plan_from_world @ camera.world_from_camera, (nx, ny, nz, CELL_M, LOWEST_M, CLEAR_M),
-            FEWEST_TOGETHER, FLYING_M, float(FAR_M), pixels, columns, levels,
+            FEWEST_TOGETHER, FLYING_M, float(FAR_M), pixels, columns, levels, sure,
         )  # fmt: skip
         area_m2 = 1 / (camera.fx * camera.fy)
-        return Foreground(depth_m, pixels[:found], columns[:found], levels[:found], area_m2, trusted)
+        return Foreground(depth_m, pixels[:found], columns[:found], levels[:found], sure[:found], area_m2, trusted)
 
     def blobs(self, views: Sequence[Foreground]) -> Blobs:
         """What hangs together in the foreground of all cameras; those not trusted count where no other is."""
@@ -134,6 +147,15 @@ class Plan:
             labels, sums[1:, 0], sums[1:, 1:] / np.maximum(sums[1:, :1], 1e-12) * CELL_M,
             np.sort((boxes[1:, 2:4] - 2) * CELL_M, axis=1)[:, ::-1], tops, bottoms,
         )  # fmt: skip
+
+    def around(self, places_m: Sequence[Float[ndarray, "2"]], radius_m: float) -> Bool[ndarray, " columns"]:
+        """Columns within a radius of any of the places (metres, from the plan's corner)."""
+        nx, ny, _ = self.shape
+        x, y = (np.arange(nx) + 0.5) * CELL_M, (np.arange(ny)[:, None] + 0.5) * CELL_M
+        near = np.zeros((ny, nx), np.bool_)
+        for place in places_m:
+            near |= (x - place[0]) ** 2 + (y - place[1]) ** 2 < radius_m**2
+        return near.ravel()
 
 
 def extents(profiles: Float[ndarray, "b levels"]) -> tuple[Float[ndarray, " b"], Float[ndarray, " b"]]:

@@ -24,6 +24,9 @@ from depthmocap.people.track import Track, Tracks
 
 Mode = Literal["auto", "none"]
 
+#: What is before an unknown background is looked at this near to people (metres).
+UNSURE_M = 0.6
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SeenPerson:
@@ -109,11 +112,12 @@ class PeopleSegmenter:
             return plan.foreground(view.camera, depth_m, background.limit_m, not background.learning)
 
         seen = list(self._pool.map(look, views, depths, backgrounds))
+        near = plan.around(self._tracks.expect(now_s), UNSURE_M)
+        seen = [view.without_unsure(near) for view in seen]
         blobs = plan.blobs(seen)
         owner, shared = self._tracks.assign(blobs, now_s)
         divided = self._divider.divide(plan, blobs, seen, self._tracks.alive, shared)
-        doubtful = np.full(len(blobs), not any(view.trusted for view in seen))
-        self._tracks.update(owner, blobs, divided, doubtful, now_s)
+        self._tracks.update(owner, blobs, divided, not any(view.trusted for view in seen), now_s)
         owners = np.concatenate([[0], owner]).astype(np.uint8)
         owners[[each.blob + 1 for each in shared]] = 255
         columns = owners[blobs.labels.ravel()]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.optimize import linear_sum_assignment
 
@@ -17,7 +17,7 @@ LEAST_M2, LONGEST_M, HIGHEST_M, TALL_M = 0.05, 2.3, 2.4, 1.1
 #: What is not so tall is a person when it has gone this far (metres): chairs are pushed less far. While nobody has been
 #: seen yet, whatever shows so much surface (m²) and has stirred in its first second is one.
 WENT_M, STIRRING_M2, STIRRING_S = 1.0, 0.2, 1.0
-#: Tall things are people after this time where the background was not known (s).
+#: Tall things are people after this time where no background was known (s).
 DOUBT_S = 0.25
 #: A person may be this far from where they are expected (metres), and that much further for each second unseen.
 GATE_M, GATE_MPS = 0.6, 1.0
@@ -131,11 +131,14 @@ class Tracks:
         self._away: list[tuple[int, float, float]] = []  # number, height, when last seen
         self._numbers = 0
 
-    def assign(self, blobs: Blobs, now_s: float) -> tuple[Int[ndarray, " b"], list[Shared]]:
-        """The label of each blob's track (0: none yet), and the blobs that must be divided; every track has its
-        expected place."""
+    def expect(self, now_s: float) -> list[Float[ndarray, "2"]]:
+        """Where everybody should be now; these are people's places (metres)."""
         for track in self.alive:
             track.expect(now_s)
+        return [track.expected_m for track in self.alive if track.number]
+
+    def assign(self, blobs: Blobs, now_s: float) -> tuple[Int[ndarray, " b"], list[Shared]]:
+        """The label of each blob's track (0: none yet), and the blobs that must be divided; after :meth:`expect`."""
         owner, shared = np.zeros(len(blobs), np.int64), []
         if not len(blobs) or not self.alive:
             return owner, shared
@@ -190,7 +193,7 @@ class Tracks:
         owner: Int[ndarray, " b"],
         blobs: Blobs,
         divided: dict[int, Part],
-        doubtful: Bool[ndarray, " b"],
+        learning: bool,
         now_s: float,
     ) -> None:
         """See, lose, end and begin tracks.
@@ -198,7 +201,7 @@ class Tracks:
         Args:
             owner: from :meth:`assign`; new tracks are written into it.
             divided: of tracks in shared blobs, by label.
-            doubtful: blobs before an unknown background.
+            learning: no camera knows its background yet.
         """
         for track in self.alive:
             own = np.flatnonzero(owner == track.label)
@@ -222,7 +225,7 @@ class Tracks:
         self._away = [each for each in self._away if now_s - each[2] < AWAY_S]
         for blob in np.flatnonzero(owner == 0).tolist():
             if _is_body(blobs, blob):
-                owner[blob] = self._begin(blobs, blob, bool(doubtful[blob]), now_s)
+                owner[blob] = self._begin(blobs, blob, learning, now_s)
         for track in self.alive:
             if not track.number:
                 self._recognise(track, now_s)
@@ -234,14 +237,14 @@ class Tracks:
             if track.alone_s < ALONE_S and any(other.number < track.number for other in shared):
                 self.alive.remove(track)
 
-    def _begin(self, blobs: Blobs, blob: int, doubtful: bool, now_s: float) -> int:
+    def _begin(self, blobs: Blobs, blob: int, doubted: bool, now_s: float) -> int:
         taken = {track.label for track in self.alive}
         label = next((label for label in range(1, 255) if label not in taken), 0)
         if label:
             place, top = blobs.centres_m[blob].copy(), float(blobs.tops_m[blob])
             self.alive.append(
                 Track(
-                    label, place, top, now_s, doubtful, area_m2=float(blobs.areas_m2[blob]), seen_s=now_s,
+                    label, place, top, now_s, doubted, area_m2=float(blobs.areas_m2[blob]), seen_s=now_s,
                     birth_m=place.copy(), anchor_m=place.copy(), still_since_s=now_s,
                 )
             )  # fmt: skip
