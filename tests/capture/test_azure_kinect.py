@@ -170,6 +170,6 @@ def test_the_library_itself() -> None:
         library = k4a.load()
     except InputError as error:
         pytest.skip(str(error))
-    assert azure_kinect._serials() == [""] * library.k4a_device_get_installed_count()
+    assert azure_kinect._serials(library) == [""] * library.k4a_device_get_installed_count()
     with pytest.raises(k4a.K4aError, match="k4a_device_open failed"):
         k4a.Device(library, 99)

@@ -154,6 +154,7 @@ def test_frames_as_the_device_gave_them(sdk: Any) -> None:
     with OrbbecCamera("left", "two") as source:
         camera = source.camera
         assert Fake.last.device == "two"
+        assert (source.up, camera.world_from_camera.tolist()) == ("-y", np.eye(4).tolist())  # upright, y is down
         assert (camera.width, camera.height, camera.fx, camera.cy) == (WIDTH, HEIGHT, 504.0, 288.5)
         assert camera.depth_unit_m == pytest.approx(0.00025)
         assert camera.distortion[2:4] == (1e-4, -2e-5)

@@ -283,6 +283,7 @@ def test_the_synthetic_scene_is_a_source_for_each_of_its_cameras() -> None:
     for name in reversed(scene.rig.names):  # in any order: the others' frames wait
         with SyntheticCamera(scene, name) as source:
             (frame,) = list(source)
+            assert source.up == "z"
             assert frame.raw.shape == (source.camera.height, source.camera.width)
             assert (frame.raw > 0).mean() > 0.5
             stamps.append(frame.timestamp_ns)

@@ -6,7 +6,9 @@ Timestamps are by the camera's own clock.
 
 from __future__ import annotations
 
+import threading
 import time
+from typing import Any
 
 from depthmocap.capture import k4a
 from depthmocap.capture.lens import five_coefficients
@@ -22,11 +24,12 @@ MAKE = Make(
 )  # fmt: skip
 #: The SDK gives depth in millimetres.
 _UNIT_M = 0.001
+#: Looking for cameras opens each for a moment: nobody else may try meanwhile.
+_LOCK = threading.Lock()
 
 
-def _serials() -> list[str]:
+def _serials(library: Any) -> list[str]:
     """The serial numbers of the connected cameras; that of one that is in use cannot be read, and is empty."""
-    library = k4a.load()
     found = []
     for index in range(library.k4a_device_get_installed_count()):
         try:
@@ -46,7 +49,9 @@ def _serials() -> list[str]:
 def find() -> list[FoundCamera]:
     """The connected cameras."""
     closed = MAKE.problem() or "in use, or this user may not open it"
-    found = MAKE.found([(serial, MAKE.name) for serial in _serials()])
+    library = k4a.load()
+    with _LOCK:
+        found = MAKE.found([(serial, MAKE.name) for serial in _serials(library)])
     return [each if each.serial else FoundCamera(each.spec, each.model, "", each.problem or closed) for each in found]
 
 
@@ -70,13 +75,14 @@ class AzureKinect(DepthSource):
 
     def _open(self) -> DepthCamera:
         library = k4a.load()
-        serials = _serials()
-        index = MAKE.choose(serials, self._serial)
-        self._serial = serials[index]
-        try:
-            self._device = k4a.Device(library, index)
-        except k4a.K4aError as error:
-            raise MAKE.failed(self.name, error, self._serial) from None
+        with _LOCK:
+            serials = _serials(library)
+            index = MAKE.choose(serials, self._serial)
+            self._serial = serials[index]
+            try:
+                self._device = k4a.Device(library, index)
+            except k4a.K4aError as error:
+                raise MAKE.failed(self.name, error, self._serial) from None
         try:
             lens = self._device.start()
             return checked(DepthCamera(

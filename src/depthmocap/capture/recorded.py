@@ -128,6 +128,7 @@ class SyntheticCamera(DepthSource):
         super().__init__(name)
         if name not in scene.rig.names:
             raise CameraError(f"the synthetic scene has no camera {name!r}: it has {', '.join(scene.rig.names)}")
+        self.up = scene.rig.up
         self._scene, self._pace, self._number = scene, pace or Pace(), 0
         self._due: tuple[int, UInt16[ndarray, "_ _"]] | None = None
 

@@ -231,6 +231,7 @@ class SimulatedCamera(DepthSource):
 
     def __init__(self, simulation: Simulation, name: str, zero_ns: int) -> None:
         super().__init__(name)
+        self.up = simulation.scene.rig.up
         self._simulation, self._zero_ns = simulation, zero_ns
         self._faults = simulation.faults.get(name, Faults())
         self._events = simulation.camera_events(name)

@@ -84,11 +84,11 @@ class DepthSource(abc.ABC):
 
     Attributes:
         name: of the camera in the rig and in recordings.
-        up: the world's up axis, where the source knows where it stands.
+        up: the world's up axis. A device does not know where it stands: at the origin, upright, if no rig says better.
         patience_s: a camera that gives nothing for longer than this is lost, because SDKs do not tell of a pulled plug.
     """
 
-    up: str = "z"
+    up: str = "-y"
     patience_s: float = 5.0
 
     def __init__(self, name: str) -> None:
