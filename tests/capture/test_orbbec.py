@@ -92,6 +92,10 @@ class Fake:
         self.device, self.number, self.running = device, 0, False
         self.enabled: Any = None
 
+    @staticmethod
+    def set_logger_to_file(level: str, path: str) -> None:
+        assert (level, path) == ("none", "")
+
     def query_devices(self) -> "Fake":
         return self
 
@@ -145,6 +149,7 @@ def sdk(monkeypatch: pytest.MonkeyPatch) -> Any:
     fake = names(
         Context=Fake, Pipeline=Fake, Config=Fake, OBError=FakeError, OBSensorType=names(DEPTH_SENSOR="depth"),
         OBFormat=names(Y16="Y16", Z16="Z16"),
+        OBLogLevel=names(NONE="none"),
     )  # fmt: skip
     monkeypatch.setitem(__import__("sys").modules, "pyorbbecsdk", fake)
     return fake

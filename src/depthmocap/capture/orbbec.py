@@ -25,6 +25,7 @@ _LENSES = ("NONE", "BROWN_CONRADY", "BROWN_CONRADY_K6")
 
 def _devices(sdk: Any) -> tuple[Any, list[str]]:
     """The SDK's list of devices, and their serial numbers."""
+    sdk.Context.set_logger_to_file(sdk.OBLogLevel.NONE, "")  # it would write a folder Log where the user happens to be
     devices = sdk.Context().query_devices()
     return devices, [devices.get_device_serial_number_by_index(index) for index in range(devices.get_count())]
 
