@@ -103,8 +103,8 @@ def test_frames(on_usb: list[UsbDevice]) -> None:
     with Kinect2("left", "111") as source:
         device, camera = Device.opened, source.camera
         assert device.reference == b"111"
-        assert (camera.width, camera.height, camera.fx, camera.fy, camera.cy) == (512, 424, 365.0, 366.0, 205.0)
-        assert camera.cx == 511 - 250.0
+        assert (camera.width, camera.height, camera.fx, camera.fy, camera.cy) == (512, 424, 365.0, 366.0, 204.5)
+        assert camera.cx == 511 - 249.5
         assert camera.distortion == (0.09, -0.27, 0.001, -0.002, 0.09)
         assert camera.depth_unit_m == 0.001
         with pytest.raises(NoFrame, match="still connected"):
@@ -134,8 +134,8 @@ def test_a_mirrored_lens_sees_the_same(on_usb: list[UsbDevice]) -> None:
         mx = -sign * x  # in libfreenect2's picture
         r2 = mx * mx + y * y
         radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        u = 365.0 * (mx * radial + 2 * p1 * mx * y + p2 * (r2 + 2 * mx * mx)) + 250.0
-        v = 366.0 * (y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * mx * y) + 205.0
+        u = 365.0 * (mx * radial + 2 * p1 * mx * y + p2 * (r2 + 2 * mx * mx)) + 249.5
+        v = 366.0 * (y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * mx * y) + 204.5
         ours = camera.project(np.array([[sign * x * 2, y * 2, 2.0]]))[0]
         assert ours == pytest.approx([511 - u, v, 2.0], abs=1e-9)
 

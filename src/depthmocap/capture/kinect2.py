@@ -30,6 +30,8 @@ _WIDTH, _HEIGHT = 512, 424
 #: libfreenect2 gives depth as floats in millimetres; it is rounded to whole ones.
 _UNIT_M = 0.001
 _TICK_NS = 125_000
+#: Where libfreenect2 has the centre of the first pixel, as it makes point clouds.
+_CENTRE = 0.5
 #: Frames that wait to be read; when there are more, the oldest is dropped.
 _WAITING = 4
 #: libfreenect2 lists and opens devices from one thread at a time.
@@ -95,7 +97,7 @@ class Kinect2(DepthSource):
             if not lens.fx > 0:  # the package does not tell that starting failed
                 raise MAKE.failed(self.name, "libfreenect2 did not start it", self._serial)
             return unmirrored(checked(DepthCamera(
-                self.name, _WIDTH, _HEIGHT, lens.fx, lens.fy, lens.cx, lens.cy,
+                self.name, _WIDTH, _HEIGHT, lens.fx, lens.fy, lens.cx - _CENTRE, lens.cy - _CENTRE,
                 distortion=(lens.k1, lens.k2, lens.p1, lens.p2, lens.k3), depth_unit_m=_UNIT_M,
             )))  # fmt: skip
         except CameraError:
