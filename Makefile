@@ -8,8 +8,9 @@ BIN = $(VENV)/bin
 demo: $(VENV)/base
 	$(BIN)/depthmocap demo --out out/demo
 
+# By two processes; what threads would do beside them, they would do against each other.
 test: $(VENV)/dev
-	$(BIN)/python -m pytest -q
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
 lint: $(VENV)/dev
 	$(BIN)/ruff check .
@@ -24,8 +25,10 @@ $(VENV)/base: pyproject.toml
 	$(BIN)/pip install -q --disable-pip-version-check -e .
 	touch $@
 
+# The last line fills Anny's cache, which processes must not do at the same time.
 $(VENV)/dev: pyproject.toml constraints.txt $(VENV)/base
 	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[train,cluster,record,datasets,realsense,dev]'
+	$(BIN)/python -c 'from depthmocap.body.model import BodyModel; BodyModel.load()'
 	touch $@
 
 clean:
