@@ -89,6 +89,7 @@ def test_cameras_out_of_step_see_other_instants(default_body: Body) -> None:
 def test_the_fault_is_measured_beside_the_same_sequences(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("depthmocap.evaluate.motion.FILTERS", ("kalman",))
     settings = MotionEvaluation(tmp_path / "estimates", sequences=1, views=2, out_of_step_ms=16.0)
+    settings = dataclasses.replace(settings, report=tmp_path / "new" / "page.html")
     tracks = _with_estimates(settings)
     store = TrackStore(settings.out / "out_of_step_16_ms", _binding(settings))
     for index, track in enumerate(tracks):
@@ -97,6 +98,8 @@ def test_the_fault_is_measured_beside_the_same_sequences(tmp_path: Path, monkeyp
     assert numbers["out of step, growth"]["none"] == pytest.approx(0.5)
     growth = numbers["out of step"]["none"]["mean_joint_error_cm"] / numbers["views 2"]["none"]["mean_joint_error_cm"]
     assert growth == pytest.approx(1.5)
+    page = (tmp_path / "new" / "page.html").read_text()
+    assert page.count("<td>kalman, steady bones</td>") == 3 and "sway 0" in page
 
 
 def test_clips_of_the_split_are_taken_and_too_few_are_told(tmp_path: Path, default_body: Body) -> None:
@@ -121,7 +124,7 @@ def _tracks(settings: MotionEvaluation) -> list[Track]:
 
 
 def _binding(settings: MotionEvaluation) -> dict[str, Any]:
-    left_out = ("out", "sequences", "sides_wrong", "out_of_step_ms", "lag_frames", "json")
+    left_out = ("out", "sequences", "sides_wrong", "out_of_step_ms", "lag_frames", "json", "report")
     return {k: v for k, v in plain_settings(settings).items() if k not in left_out}
 
 

@@ -21,6 +21,7 @@ from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.evaluate.moving import FPS, clip_motions, moving_frames, prior_motions
+from depthmocap.evaluate.report import ReportSection, ReportTable, write_report
 from depthmocap.evaluate.temporal_metrics import TemporalMetrics, temporal_metrics
 from depthmocap.evaluate.tracks import Track, TrackStore, estimate_track
 from depthmocap.frames import Pose
@@ -33,11 +34,11 @@ from depthmocap.synth.sample import Split
 from depthmocap.synth.sensing.sensors import find_sensor
 
 #: Settings that the estimates do not depend on, or that only tell how many there are.
-_NOT_BINDING = ("out", "sequences", "sides_wrong", "out_of_step_ms", "lag_frames", "json")
+_NOT_BINDING = ("out", "sequences", "sides_wrong", "out_of_step_ms", "lag_frames", "json", "report")
 #: Columns of the table: field, heading, digits.
 _COLUMNS = (
     ("mean_joint_error_cm", "error cm", 2),
-    ("acceleration_error_mm", "accel. mm/f²", 1),
+    ("acceleration_error_mm", "accel mm/f²", 1),
     ("rest_jitter_mm", "jitter mm", 2),
     ("foot_skate_cmps", "skate cm/s", 1),
     ("bone_deviation_mm", "bones mm", 1),
@@ -68,6 +69,7 @@ class MotionEvaluation:
         weights: a classifier.onnx of your own.
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
         json: file for all numbers.
+        report: file for a page with the tables (.html).
     """
 
     out: Path
@@ -84,6 +86,7 @@ class MotionEvaluation:
     weights: Path | None = None
     estimator: str = "votes"
     json: Path | None = None
+    report: Path | None = None
 
     def __post_init__(self) -> None:
         check_seed(self.seed)
@@ -122,9 +125,13 @@ def evaluate_motion(settings: MotionEvaluation, console: Console | None = None) 
         }
         shown = ", ".join(f"{name} {growth[name]:+.1%}" for name in ("none", f"{AUTO}, steady bones"))
         console.print(f"error {title}: {shown}")
+    for path in (settings.json, settings.report):
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
     if settings.json is not None:
-        settings.json.parent.mkdir(parents=True, exist_ok=True)
         settings.json.write_text(json.dumps(numbers, indent=1) + "\n")
+    if settings.report is not None:
+        write_report(settings.report, "Joints over time", _sections(numbers))
     return numbers
 
 
@@ -214,6 +221,18 @@ def _wrong_sides(poses: list[Pose], share: float, rng: np.random.Generator) -> l
             pose = Pose(pose.timestamp_ns, pose.joints[order], pose.confidence[order])
         spoilt.append(pose)
     return spoilt
+
+
+def _sections(numbers: dict[str, Any]) -> list[ReportSection]:
+    """Of the page: a table for every number of views, and one of the fault."""
+    sections = []
+    for name in (name for name in numbers if name.startswith("views") or name == "out of step"):
+        header = ["filter", *(heading for _, heading, _ in _COLUMNS)]
+        rows = [[row, *(each[field] for field, _, _ in _COLUMNS)] for row, each in numbers[name].items()]
+        sections.append(ReportSection(name, tables=(ReportTable(header, rows),)))
+    about = [[key.replace("_", " "), str(value)] for key, value in numbers["settings"].items() if value is not None]
+    text = f"{numbers['frames']} frames of {', '.join(numbers['sequences'])}."
+    return [*sections, ReportSection("How it was measured", (text,), (ReportTable(("setting", "value"), about),))]
 
 
 def _table(title: str, rows: dict[str, dict[str, float]]) -> Table:
