@@ -262,15 +262,15 @@ def _error_row(scenes: Sequence[Float[ndarray, "_ 2"]]) -> dict[str, float]:
 
 
 def _tell(numbers: dict[str, Any], console: Console) -> None:
-    table = Table(title="people in their masks", title_justify="left")
-    for heading in ("", "overlap", "p5", "found", "switches", "first mask s", "at most s", "ghosts", "CPU ms a view"):
-        table.add_column(heading, justify="right" if heading else "left")
+    table = Table(title=f"people in their masks, {numbers['background known']['sets']} sets", title_justify="left")
+    for heading in ("", "overlap", "p5", "found", "switches", "mask after s", "at most", "ghosts", "CPU ms"):
+        table.add_column(heading, justify="right" if heading else "left", no_wrap=not heading)
     for name in ("background known", "background learnt"):
         row = numbers[name]
         table.add_row(
             name, f"{row['overlap_mean']:.3f}", f"{row['overlap_p5']:.3f}", f"{row['found_share']:.1%}",
-            f"{row['switches']} in {row['arrivals']} arrivals", f"{row['first_mask_s_p50']:.2f}",
-            f"{row['first_mask_s_most']:.2f}", f"{row['ghost_sets']} of {row['sets']} sets",
+            f"{row['switches']}", f"{row['first_mask_s_p50']:.2f}",
+            f"{row['first_mask_s_most']:.2f}", f"{row['ghost_sets']}",
             f"{row['cpu_ms_per_view']:.2f}",
         )  # fmt: skip
     console.print(table)
