@@ -70,6 +70,10 @@ class Variation:
     limb: float = 0.0
     tilt: float = 0.0
 
+    def of(self, simple: bool) -> Variation:
+        """The same for people who walk and run: they keep their limbs and stand."""
+        return dataclasses.replace(self, limb=0.0, tilt=0.0) if simple else self
+
 
 #: For training: more postures than were recorded.
 TRAINING_VARIATION = Variation(mirror=0.5, recombine=0.25, noise_rad=0.06, limb=0.2, tilt=0.12)
@@ -121,7 +125,7 @@ class ClipPostures:
         parts = [without_heading(clip.postures)[thin(clip.postures, spacing_m)] for clip in chosen]
         self.postures = np.concatenate(parts).astype(np.float32)
         self.groups = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-        self._variation = variation
+        self._variation = variation.of(simple)
 
     @classmethod
     def of_pool(cls, pool: PosturePool, split: str, simple: bool, variation: Variation) -> ClipPostures:
@@ -138,7 +142,7 @@ class ClipPostures:
         source = cls.__new__(cls)
         source.names = [pool.clip_names[clip] for clip in clips]
         source.postures, source.groups = pool.postures[chosen], groups
-        source._variation = variation
+        source._variation = variation.of(simple)
         return source
 
     def __len__(self) -> int:
@@ -194,7 +198,7 @@ class PosturePrior:
             arrays = {name: data[name].astype(np.float64) for name in ("weights", "simple_weights", "means", "factors")}
         except NOT_NPZ as error:
             raise InputError(f"{source} is not a posture prior: {reason(error)}") from None
-        return cls(**arrays, simple=simple, variation=variation)
+        return cls(**arrays, simple=simple, variation=variation.of(simple))
 
     def sample(self, rng: np.random.Generator) -> tuple[Float[ndarray, "20 3"], int]:
         """A posture with a random heading, and the component it is from."""
@@ -245,8 +249,6 @@ def posture_source(
     Raises:
         InputError: a folder without readable clips, a file that is no pool, or no posture of the split.
     """
-    if simple:  # walking and running
-        variation = dataclasses.replace(variation, limb=0.0, tilt=0.0)
     if postures is None:
         return PosturePrior.load(simple=simple, variation=variation)
     if not postures.exists():
