@@ -3,7 +3,9 @@
 import dataclasses
 
 import numpy as np
+import onnx
 import pytest
+from onnx import TensorProto, helper
 
 from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.errors import InputError
@@ -143,3 +145,15 @@ def test_files_that_are_no_voting_network(tmp_path):
 
     with pytest.raises(InputError, match="not a voting network"):
         VotesEstimator(Classifier().path)
+
+
+def test_a_network_of_an_earlier_version_is_refused(tmp_path):
+    parts = helper.make_tensor_value_info("parts", TensorProto.FLOAT, ["n", "views", 43, 16])
+    outputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in ("joints", "sure")]
+    nodes = [helper.make_node("Identity", ["parts"], [output.name]) for output in outputs]
+    model = helper.make_model(
+        helper.make_graph(nodes, "early", [parts], outputs), ir_version=8, opset_imports=[helper.make_opsetid("", 18)]
+    )
+    onnx.save(model, tmp_path / "votes.onnx")
+    with pytest.raises(InputError, match="reads 43 parts, and this version has 61"):
+        VotesEstimator(tmp_path / "votes.onnx")

@@ -19,7 +19,7 @@ from depthmocap.cores import usable_cores
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.kernels.dense_head import label_dense_pixels
-from depthmocap.kernels.head import label_groups, label_pixels
+from depthmocap.kernels.head import label_groups
 
 #: The outputs of each network.
 _OUTPUTS = {"fast": ["probabilities", "joints"], "paper": ["logits"]}
@@ -95,8 +95,7 @@ class Classifier:
         name = self._session.get_modelmeta().custom_metadata_map.get("network")
         if names[0] != ["windows"] or name is None:
             raise InputError(f"{source} is not a depthmocap classifier: its inputs and outputs are {names}")
-        old = name == "fast" and names[1] in (["logits"], ["logits", "joints"])
-        if names[1] != _OUTPUTS.get(name) and not old:
+        if names[1] != _OUTPUTS.get(name):
             known = ", ".join(f"{each!r} with {' and '.join(outputs)}" for each, outputs in _OUTPUTS.items())
             raise InputError(
                 f"{source} holds a network {name!r} with {' and '.join(names[1])}, and this version knows {known}: "
@@ -104,7 +103,7 @@ class Classifier:
             )
         self.path, self.network, self.tells_joints = source, name, "joints" in names[1]
         self.make_window: WindowMaker = WINDOW_MAKERS[name]
-        self._read = label_pixels if old else _READERS[name]
+        self._read = _READERS[name]
         self._pool = ThreadPoolExecutor(threads or usable_cores())
 
     def label_window(self, window: Window) -> FoundInWindow:

@@ -274,10 +274,6 @@ def load_weights(network: nn.Module, path: Path) -> None:
     try:
         state = load_file(path)
         state = {k: v.float() if v.is_floating_point() else v for k, v in state.items()}
-        if "head.weight" in state and not any(name.startswith("joint_votes") for name in state):
-            # Written before the network told joints.
-            own = network.state_dict().items()
-            state |= {name: value for name, value in own if name.startswith("joint_votes")}
         network.load_state_dict(state)
     except (OSError, SafetensorError, RuntimeError) as error:
         raise InputError(f"{path} does not hold weights of this network: {str(error).splitlines()[0]}") from None

@@ -14,7 +14,7 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
 from depthmocap.pose.cloud import MIN_CLOUD_POINTS, LabelledCloud
-from depthmocap.pose.parts import body_frame, network_inputs, part_statistics
+from depthmocap.pose.parts import PART_COUNT, body_frame, network_inputs, part_statistics
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -75,14 +75,14 @@ def voting_session(source: Path) -> onnxruntime.InferenceSession:
     names = [node.name for node in session.get_inputs()], [node.name for node in session.get_outputs()]
     if names != (["parts"], ["joints", "sure"]):
         raise InputError(f"{source} is not a voting network: its inputs and outputs are {names}")
+    if (parts := session.get_inputs()[0].shape[2]) != PART_COUNT:
+        raise InputError(f"{source} reads {parts} parts, and this version has {PART_COUNT}: train it anew")
     return session
 
 
 def run_votes(
     session: onnxruntime.InferenceSession, inputs: Float32[ndarray, "n views 61 16"]
 ) -> tuple[Float64[ndarray, "n 18 3"], Float64[ndarray, "n 18"]]:
-    """Joints in the body's frame and their confidence, from what ``parts.network_inputs`` gives; networks made before
-    cameras told joints read the regions alone."""
-    known = session.get_inputs()[0].shape[2]
-    joints, sure = (np.asarray(each, np.float64) for each in session.run(None, {"parts": inputs[:, :, :known]}))
+    """Joints in the body's frame and their confidence, from what ``parts.network_inputs`` gives."""
+    joints, sure = (np.asarray(each, np.float64) for each in session.run(None, {"parts": inputs}))
     return joints, 1 / (1 + np.exp(-sure))
