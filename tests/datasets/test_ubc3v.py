@@ -29,6 +29,7 @@ from depthmocap.datasets.ubc3v_write import SectionWriter, write_images
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.transforms import look_at, transform_points
+from file_contents import tree
 
 # Codecs
 
@@ -230,10 +231,7 @@ def test_a_resumed_section_has_the_bytes_of_an_uninterrupted_one(tmp_path):
             with SectionWriter(root, "easy-pose", "train", 1) as writer:
                 for views, joints in itertools.islice(left, count):
                     writer.write(views, joints)
-    files = {
-        root: {p.relative_to(tmp_path / root): p.read_bytes() for p in (tmp_path / root).rglob("*") if p.is_file()}
-        for root in "ab"
-    }
+    files = {root: tree(tmp_path / root) for root in "ab"}
     assert len(files["a"]) == 13
     assert files["a"] == files["b"]
 

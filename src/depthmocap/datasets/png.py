@@ -1,7 +1,8 @@
 """PNG files of labels and depth, in memory (extra: train).
 
 Such pictures are mostly flat or empty. ISA-L's compressor without PNG's filters is many times as fast on them as
-libpng, and its files are about a quarter larger. The bytes depend on the picture and the version of ISA-L alone.
+libpng, and its files are about a quarter larger. ISA-L does not always pack the same picture
+into the same bytes; what is unpacked is the same.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ from depthmocap.synth.output import units
 from depthmocap.synth.output.cluster import ordered_on_ray
 from depthmocap.synth.output.generate import SynthSettings, generate
 from depthmocap.synth.sample import Recipe
+from file_contents import tree
 
 QUIET = Console(file=io.StringIO())
 
@@ -38,14 +39,8 @@ def cluster(tmp_path_factory: pytest.TempPathFactory):
     ray.shutdown()
 
 
-def tree(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-
-
 @pytest.mark.filterwarnings("ignore")
-def test_the_same_bytes_with_a_worker_killed(
-    body_model, cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_with_a_worker_killed(body_model, cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(units, "_FRAMES_PER_UNIT", 3)
     settings = SynthSettings(tmp_path / "here", Recipe("easy", "test", views=1), 8, workers=0)
     here = generate(settings, QUIET)

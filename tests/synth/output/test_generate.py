@@ -1,4 +1,5 @@
-"""Data sets on disk: the same bytes whatever happens on the way, and what is refused. Samples are made up, but once."""
+"""Data sets on disk: the same contents whatever happens on the way, and what is refused. Samples are made up, but
+once."""
 
 from __future__ import annotations
 
@@ -26,6 +27,7 @@ from depthmocap.synth.output import units
 from depthmocap.synth.output.generate import SynthSettings, generate
 from depthmocap.synth.output.lock import folder_lock
 from depthmocap.synth.sample import CameraRange, Recipe, Sample
+from file_contents import tree
 
 QUIET = Console(file=io.StringIO())
 RECIPE = Recipe(subset="easy", split="valid", views=2)
@@ -58,10 +60,6 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 def run(out: Path, layout: str = "ubc3v", samples: int = 7, **options) -> Path:
     options = {"recipe": RECIPE, "workers": 0} | options
     return generate(SynthSettings(out, samples=samples, format=layout, **options), QUIET)  # type: ignore[arg-type]
-
-
-def tree(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -228,7 +226,7 @@ def make_up_unit(unit: units.Unit) -> units.Made:
     return units.make_unit(unit)
 
 
-def test_processes_make_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processes_make_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     here = run(tmp_path / "here")
     monkeypatch.setattr(generate_module, "make_unit", make_up_unit)
     there = run(tmp_path / "there", workers=2)
@@ -238,7 +236,7 @@ def test_processes_make_the_same_bytes(tmp_path: Path, monkeypatch: pytest.Monke
 
 SCRIPT = """
 import sys, time
-sys.path.insert(0, {tests!r})
+sys.path[:0] = {tests!r}
 from depthmocap.cli import main
 from depthmocap.synth.output import units
 from test_generate import made_up
@@ -258,7 +256,7 @@ if __name__ == "__main__":
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_a_killed_run_goes_on(tmp_path: Path, layout: str) -> None:
     script = tmp_path / "main.py"
-    script.write_text(SCRIPT.format(tests=str(Path(__file__).parent)))
+    script.write_text(SCRIPT.format(tests=[str(Path(__file__).parent), str(Path(__file__).parents[2])]))
     command = [sys.executable, str(script), "synth", "--out", str(tmp_path / "parts"), "--samples", "15"]
     command += ["--subset", "easy", "--split", "valid", "--views", "2", "--format", layout, "--workers", "0"]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)

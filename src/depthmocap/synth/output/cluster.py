@@ -25,7 +25,8 @@ def ordered_on_ray(
     """As :func:`depthmocap.synth.output.workers.ordered`, on the cores of a Ray cluster.
 
     Tasks that write files need a folder that every node sees under the same path, and nodes with the same version of
-    this package. For the same bytes from all nodes, their kind of processor must be one: sums may be fused otherwise.
+    this package. For the same pictures from all nodes, their kind of processor must be one: sums may be fused
+    otherwise.
 
     Args:
         address: the cluster's, such as ``ray://head:10001`` or ``auto``; "local" starts one on this machine, which

@@ -79,7 +79,7 @@ class SynthSettings:
 
 def generate(settings: SynthSettings, console: Console | None = None) -> Path:
     """Write the samples and return the split's folder (with a preset, the subset's). A run that was interrupted, in
-    whatever way, goes on with the same command, and the set has the same bytes.
+    whatever way, goes on with the same command, and the set has the same contents.
 
     Every sample depends on its own index, the recipe and the seed alone.
 

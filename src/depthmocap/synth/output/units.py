@@ -24,7 +24,8 @@ _DESCRIBED_PER_UNIT = 16
 
 @dataclasses.dataclass(frozen=True)
 class Unit:
-    """Samples ``start`` to ``stop`` of a set of so many. Whoever makes it, and however often, writes the same bytes.
+    """Samples ``start`` to ``stop`` of a set of so many. Whoever makes it, and however often, writes the same pictures
+    and truth.
 
     ``layout`` None stores nothing: the samples are only described, every ``step``-th.
     """
