@@ -19,7 +19,7 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet
 from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
-from depthmocap.pose.cloud import MIN_CLOUD_POINTS, LabelledView, merge_views
+from depthmocap.pose.cloud import MIN_CLOUD_POINTS, label_people, merge_views
 from depthmocap.pose.estimate import JointEstimator
 from depthmocap.pose.parts import AREA, CENTRE, PROBABILITY, BodyFrame, body_frame, part_statistics
 
@@ -141,9 +141,7 @@ def _length(source: AnnotatedSet, every: int) -> int | None:
 def _look(frame: AnnotatedFrame, up: str, estimator: JointEstimator, classifier: Classifier) -> dict[str, ndarray]:
     """What is found in one frame; joints in its own world, regions and the body's frame in the world turned Z-up."""
     start = time.perf_counter()
-    masks = [view.depth_m > 0 if view.mask is None else view.mask for view in frame.views]
-    labelled = classifier.label_views(frame.views, masks)
-    cloud = merge_views([LabelledView(view, *found) for view, found in zip(frame.views, labelled, strict=True)])
+    cloud = merge_views(label_people(frame.views, classifier))
     joints, confidence = estimator(cloud, up)
     spent_ms = (time.perf_counter() - start) * 1e3
     row = {

@@ -24,7 +24,7 @@ from depthmocap.evaluate.pictures import cloud_picture, labelled_depth_strip
 from depthmocap.evaluate.report import ReportFigure, ReportSection, ReportTable
 from depthmocap.evaluate.reproduce_ubc3v import pose_rows
 from depthmocap.geometry import z_up_from
-from depthmocap.pose.cloud import LabelledCloud, LabelledView, merge_views
+from depthmocap.pose.cloud import LabelledCloud, label_people, merge_views
 from depthmocap.pose.estimate import load_estimator
 
 #: Table III: error (cm), its deviation, share within 10 cm (%), by subjects and by actions.
@@ -136,10 +136,8 @@ def _mhad_figures(source: _Keep, found: MhadResults, classifier: Classifier) -> 
 
 
 def _labelled(frame: AnnotatedFrame, classifier: Classifier) -> tuple[UInt8[ndarray, "h w 3"], LabelledCloud]:
-    masks = [view.depth_m > 0 if view.mask is None else view.mask for view in frame.views]
-    found = classifier.label_views(frame.views, masks)
-    cloud = merge_views([LabelledView(view, *each) for view, each in zip(frame.views, found, strict=True)])
-    return labelled_depth_strip(frame.views, [each.labels for each in found]), cloud
+    labelled = label_people(frame.views, classifier)
+    return labelled_depth_strip(frame.views, [each.labels for each in labelled]), merge_views(labelled)
 
 
 def reproduce_eval(part: RealPart, console: Console) -> tuple[list[ReportSection], dict[str, Any]]:

@@ -14,7 +14,7 @@ from numpy import ndarray
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, Pose
-from depthmocap.pose.cloud import LabelledView, merge_views
+from depthmocap.pose.cloud import label_people, merge_views
 from depthmocap.pose.estimate import JointEstimator
 
 _SETTINGS = "estimates.json"
@@ -41,9 +41,7 @@ def estimate_track(name: str, frames: Iterable[FrameSet], classifier: Classifier
     """Joints of frames with true masks and joints, frame by frame, nothing smoothed."""
     stamps, truths, joints, confidences = [], [], [], []
     for frame in frames:
-        masks = [view.depth_m > 0 if view.mask is None else view.mask for view in frame.views]
-        labelled = classifier.label_views(frame.views, masks)
-        parts = [LabelledView(view, *each) for view, each in zip(frame.views, labelled, strict=True)]
+        parts = label_people(frame.views, classifier)
         found = [estimator(merge_views(parts[:count]), "z") for count in range(1, len(parts) + 1)]
         stamps.append(frame.timestamp_ns)
         truths.append(frame.true_joints)

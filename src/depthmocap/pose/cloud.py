@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
@@ -16,6 +16,9 @@ from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.kernels.box import box_of
 from depthmocap.kernels.cloud import unproject_labelled
+
+if TYPE_CHECKING:
+    from depthmocap.classify.runtime import Classifier
 
 #: Labels of a view: the network's, or its true ones.
 Labels = Literal["network", "true"]
@@ -56,6 +59,12 @@ class LabelledCloud:
 
     def __len__(self) -> int:
         return len(self.labels)
+
+
+def label_people(views: Sequence[View], classifier: Classifier) -> list[LabelledView]:
+    """Views with what the network finds at the person's mask, or where there is none at every pixel with depth."""
+    masks = [view.depth_m > 0 if view.mask is None else view.mask for view in views]
+    return [LabelledView(view, *found) for view, found in zip(views, classifier.label_views(views, masks), strict=True)]
 
 
 def merge_views(parts: Sequence[LabelledView]) -> LabelledCloud:

@@ -21,7 +21,7 @@ from rich.progress import Progress
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.frames import View
-from depthmocap.pose.cloud import LABELS, LabelledView, Labels, merge_views
+from depthmocap.pose.cloud import LABELS, LabelledView, Labels, label_people, merge_views
 from depthmocap.pose.features import FEATURE_COUNT, cloud_features
 from depthmocap.pose.parts import PART_COLUMNS, PART_COUNT, part_statistics
 from depthmocap.settings import check_seed, plain_settings
@@ -144,9 +144,7 @@ def label_sample(views: tuple[View, ...], classifier: Classifier | None) -> list
     """Views with the network's labels on the person's mask, or without a network their true ones; None where a view has
     none."""
     if classifier is not None:
-        masks = [view.mask if view.mask is not None else view.depth_m > 0 for view in views]
-        found = classifier.label_views(views, masks)
-        return [LabelledView(view, *each) for view, each in zip(views, found, strict=True)]
+        return label_people(views, classifier)
     parts: list[LabelledView] = []
     for view in views:
         if view.labels is None:
