@@ -85,7 +85,7 @@ def test_an_interruption_leaves_complete_files(recording, tmp_path, monkeypatch)
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["interrupted"]
 
 
-def test_in_real_time_everything_is_recorded_once_the_cameras_are_open(recording, tmp_path):
+def test_in_real_time_everything_is_recorded_once_the_cameras_are_open(recording, tmp_path, virtual):
     pytest.importorskip("foxglove")
     copy = tmp_path / "copy.mcap"
     summary = run_live(LiveSettings((recording,), out=tmp_path / "out", record=copy, realtime=True, segment="none"))
@@ -106,7 +106,7 @@ def test_nobody_in_view_is_told(recording, tmp_path, monkeypatch):
     assert len((tmp_path / "out" / "pose.csv").read_text().splitlines()) == SETS + 1
 
 
-def test_the_python_interface(recording):
+def test_the_python_interface(recording, virtual):
     poses = list(live_module.live(recording, segment="none"))
     assert 5 < len(poses) <= SETS
     assert poses[-1].joints.shape == (18, 3)

@@ -1,5 +1,8 @@
 """Twenty seconds of everything that goes wrong with four cameras, in virtual time, through checks and synchroniser."""
 
+import collections
+import dataclasses
+
 import numpy as np
 import pytest
 from fakes import Board, fake_pipeline
@@ -8,6 +11,7 @@ from depthmocap.capture.recording import Recording, RecordingWriter
 from depthmocap.capture.simulator import Faults, Simulation
 from depthmocap.capture.sync import SyncSettings
 from depthmocap.online.intake import Intake, frame_set, recorded_frames
+from depthmocap.online.status import camera_statuses
 
 #: Each camera has its own trouble, and all lose frames, are late and drift.
 COMMON = {"loss": 0.05, "jitter_ms": 10.0}
@@ -63,6 +67,39 @@ def test_broken_pictures_are_left_out_counted_and_told_of(outcome):
     assert intake.faults["cam2"]["noise"] == pytest.approx(28, abs=4)
     assert intake.faults["cam3"]["dark"] == pytest.approx(28, abs=4)
     assert sum("cam3" in line for line in intake.problems) == 1
+    dark = "camera 'cam3': no pixel has depth: is it covered, or too near to something?"
+    assert intake.problems[dark] == intake.faults["cam3"]["dark"]
+
+
+def test_clocks_that_jump_are_told(outcome):
+    intake, _, _ = outcome
+    jumps = {line: times for line, times in intake.problems.items() if "clock" in line}
+    assert jumps == {
+        "camera 'cam1': its clock went back": 1,  # it was unplugged
+        "camera 'cam2': its clock went back": 1,
+        "camera 'cam2': its clock jumped ahead": 1,
+    }
+
+
+def test_a_camera_whose_time_runs_backwards_is_left_out_and_told_of():
+    scene = Board(2)
+    intake = Intake(SyncSettings(30.0))
+    for camera in scene.rig.cameras:
+        intake.add_camera(camera)
+
+    def backwards():
+        for event in Simulation(scene, 30.0, 4.0).events():
+            frame = event.frame()
+            if frame.camera == "cam1":
+                frame = dataclasses.replace(frame, timestamp_ns=10**12 - frame.timestamp_ns)
+            yield frame
+
+    sets = list(intake.run(backwards()))
+    assert sum("cam0" in left.frames for left in sets) == 120
+    assert not any("cam1" in left.frames for left in sets[20:])
+    assert intake.problems["camera 'cam1': its time runs backwards or stands still: reconnect it"] == 110
+    statuses = camera_statuses(intake, {"cam0": "running", "cam1": "running"}, sets[-1].timestamp_ns)
+    assert [status.state for status in statuses] == ["running", "clock: left out"]
 
 
 def test_cameras_that_return_are_back_within_half_a_second(outcome):
@@ -93,7 +130,7 @@ def test_a_recording_gives_its_own_sets(tmp_path):
                 writer.write(time_ns + 3_000_000, {"cam1": scene.depth("cam1", i * 0.04)})
     bad = sorted((tmp_path / "recording" / "cam0").glob("*.png"))[12]
     bad.write_bytes(bad.read_bytes()[:-30])
-    recording, problems = Recording(tmp_path / "recording"), {}
+    recording, problems = Recording(tmp_path / "recording"), collections.Counter()
     intake = Intake(SyncSettings(25.0))
     for camera in recording.rig.cameras:
         intake.add_camera(camera)

@@ -68,7 +68,9 @@ def make_sources(specs: Sequence[str], pace: Pace | None = None) -> list[DepthSo
         recording = open_recording(path)
         with_frames = [each for each in recording.rig.names if recording.stamps(each)]
         names = with_frames if path == Path(spec) else [spec.rpartition("#")[2]]
-        sources += [RecordedCamera(recording, each, pace) for each in names]
+        recorded = [RecordedCamera(recording, each, pace) for each in names]
+        recorded[0].problems.extend(recording.problems)  # the file's, told once
+        sources += recorded
     names = [source.name for source in sources]
     for name in names:
         if names.count(name) > 1:

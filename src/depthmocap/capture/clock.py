@@ -39,10 +39,11 @@ class ClockTracker:
 
     Attributes:
         restarts: jumps found so far.
+        went_back: whether the last of them was backwards.
     """
 
     def __init__(self) -> None:
-        self.restarts = 0
+        self.restarts, self.went_back = 0, False
         self._suspects: list[tuple[float, int, int]] = []
         self._begun = False
 
@@ -142,7 +143,7 @@ class ClockTracker:
         # The least delayed of them, so that the new line starts under as many as possible.
         _, device, arrival = min(self._suspects, key=lambda suspect: suspect[0])
         self._start(device, arrival)
-        self.restarts += 1
+        self.restarts, self.went_back = self.restarts + 1, late_s > 0
         return True
 
 

@@ -20,7 +20,7 @@ from depthmocap.capture.mcap_writer import SHARED_CLOCK, McapWriter
 from depthmocap.capture.recorded import Pace
 from depthmocap.capture.source import CameraError, DepthSource, NoFrame, place, unsourced
 from depthmocap.errors import InputError
-from depthmocap.geometry import Rig, load_rig
+from depthmocap.geometry import DepthCamera, Rig, load_rig
 
 _LOOK_S = 0.2
 
@@ -67,8 +67,8 @@ def record(settings: RecordSettings, console: Console | None = None) -> dict[str
     """Record; returns frames and losses by camera. A camera that fails is told, and the others go on.
 
     Raises:
-        InputError: when no source can be opened as asked, a camera is not as the rig says, or the file cannot be
-            written any further (every frame before is in it).
+        InputError: when no source can be opened as the rig says, or the file cannot be written any further (every
+            frame before is in it).
     """
     console = console or Console(stderr=True)
     if not settings.sources:
@@ -78,15 +78,39 @@ def record(settings: RecordSettings, console: Console | None = None) -> dict[str
     rig = load_rig(settings.rig) if settings.rig else None
     sources = make_sources(settings.sources, Pace(1.0 if settings.realtime else 0.0))
     with contextlib.ExitStack() as stack:
-        for source in sources:
-            stack.enter_context(source)
-        for problem in [] if rig is None else unsourced(rig, [source.name for source in sources]):
+        cameras, failed = _open(sources, rig, stack)
+        problems = [f"{failure}; going on without it" for failure in failed.values()]
+        problems += [] if rig is None else unsourced(rig, [source.name for source in sources])
+        sources = [source for source in sources if source.name not in failed]
+        problems += [source.problems.popleft() for source in sources for _ in range(len(source.problems))]
+        for problem in problems:
             console.print(f"• {problem}", markup=False, highlight=False)
-        cameras = tuple(source.camera if rig is None else place(source.camera, rig) for source in sources)
         backgrounds = {s.name: raw for s in sources if (raw := s.raw_background) is not None}
         up = rig.up if rig else sources[0].up
         writer = stack.enter_context(McapWriter(settings.out, Rig(cameras, up), backgrounds, settings.coding))
-        return _record(sources, writer, settings.seconds, console)
+        told = _record(sources, writer, settings.seconds, console)
+        return told | {"states": failed | told["states"], "problems": problems}
+
+
+def _open(
+    sources: list[DepthSource], rig: Rig | None, stack: contextlib.ExitStack
+) -> tuple[tuple[DepthCamera, ...], dict[str, str]]:
+    """The cameras that could be opened and fit the rig, and why others were not, by name.
+
+    Raises:
+        InputError: when there is none.
+    """
+    cameras: list[DepthCamera] = []
+    failed: dict[str, str] = {}
+    for source in sources:
+        try:
+            stack.enter_context(source)
+            cameras.append(source.camera if rig is None else place(source.camera, rig))
+        except InputError as error:
+            failed[source.name] = str(error)
+    if not cameras:
+        raise InputError(f"no camera could be opened ({'; '.join(failed.values())})")
+    return tuple(cameras), failed
 
 
 def _record(sources: list[DepthSource], writer: McapWriter, seconds: float | None, console: Console) -> dict[str, Any]:

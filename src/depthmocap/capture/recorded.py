@@ -77,7 +77,8 @@ class RecordedCamera(DepthSource):
             number, self._next = self._next, self._next + 1
             try:
                 raw = self._recording.raw(self.name, stamp)
-            except InputError:
+            except InputError as error:
+                self.problems.append(str(error))
                 continue
             timestamp_ns, clock = self._recording.device_time(self.name, stamp)
             return DepthFrame(self.name, raw, timestamp_ns, clock, time.monotonic_ns(), number)

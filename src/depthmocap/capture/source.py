@@ -12,6 +12,7 @@ generator are sources like any other.
 from __future__ import annotations
 
 import abc
+import collections
 import contextlib
 import dataclasses
 import threading
@@ -42,6 +43,10 @@ class CameraError(InputError):
 
 class _StuckError(CameraError):
     """A call of an SDK does not return."""
+
+
+class MisfitError(CameraError):
+    """A camera is not the one that was calibrated. It will not change by itself."""
 
 
 class NoFrame(CameraError):  # noqa: N818 - nothing is wrong yet
@@ -86,6 +91,7 @@ class DepthSource(abc.ABC):
         name: of the camera in the rig and in recordings.
         up: the world's up axis. A device does not know where it stands: at the origin, upright, if no rig says better.
         patience_s: a camera that gives nothing for longer than this is lost, because SDKs do not tell of a pulled plug.
+        problems: what a user should know and does not end the reading, one line each; who tells them takes them out.
     """
 
     up: str = "-y"
@@ -93,6 +99,7 @@ class DepthSource(abc.ABC):
 
     def __init__(self, name: str) -> None:
         self.name = name
+        self.problems: collections.deque[str] = collections.deque()
         self._camera: DepthCamera | None = None
         self._pump: _Pump | None = None
         self._stuck: threading.Thread | None = None
@@ -269,13 +276,13 @@ def place(camera: DepthCamera, rig: Rig) -> DepthCamera:
     """The rig's camera of the same name, which a device delivers for; the device's own depth scale is kept.
 
     Raises:
-        CameraError: when the rig does not have it, or calibrated it at another resolution.
+        MisfitError: when the rig does not have it, or calibrated it at another resolution.
     """
     if camera.name not in rig.names:
-        raise CameraError(f"the rig has no camera {camera.name!r}: it has {', '.join(rig.names)}")
+        raise MisfitError(f"the rig has no camera {camera.name!r}: it has {', '.join(rig.names)}")
     placed = rig[camera.name]
     if (placed.width, placed.height) != (camera.width, camera.height):
-        raise CameraError(
+        raise MisfitError(
             f"camera {camera.name!r} delivers {camera.width}×{camera.height} but was calibrated at "
             f"{placed.width}×{placed.height}: calibrate it again, or set its resolution"
         )

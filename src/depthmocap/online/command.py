@@ -24,7 +24,7 @@ from depthmocap.frames import Pose
 from depthmocap.geometry import Rig, load_rig
 from depthmocap.online.dashboard import draw_dashboard
 from depthmocap.online.live import LiveCapture, Replay, Segment
-from depthmocap.pose.track import Smoothing
+from depthmocap.pose.track import Bones, Smoothing
 
 #: The dashboard is drawn so often.
 DRAW_S = 0.25
@@ -45,6 +45,7 @@ class LiveSettings:
         segment: "auto" finds the person in a static scene; "none" takes every valid pixel.
         people: follow up to so many; with more than one, each has a folder ``person-N`` in ``out`` besides.
         smooth: the filter over time, see ``depthmocap run``.
+        bones: "steady" gives bones constant lengths, learnt on the run; "free" leaves them as estimated.
         wait_ms: how long a set waits for a camera that is late.
         rate_hz: sets a second; by default the fastest camera's rate.
         triggered: the cameras expose together, by a wire.
@@ -59,6 +60,7 @@ class LiveSettings:
     segment: Segment = "auto"
     people: int = 1
     smooth: Smoothing = "auto"
+    bones: Bones = "steady"
     wait_ms: float = SyncSettings().wait_ms
     rate_hz: float | None = None
     triggered: bool = False
@@ -117,11 +119,12 @@ def _capture(settings: LiveSettings, console: Console) -> LiveCapture | Replay:
         with console.status("reading the background and the weights"):
             recording = open_recording(Path(settings.sources[0]))
             sync = dataclasses.replace(sync, rate_hz=settings.rate_hz or 1e9 / recording.period_ns)
-            return Replay(recording, None, sync, settings.segment, settings.smooth, settings.people)
+            return Replay(recording, None, sync, settings.segment, settings.smooth, settings.people, settings.bones)
     sources = make_sources(settings.sources, Pace(1.0))
     return LiveCapture(
-        sources, rig, None, sync, settings.rate_hz is None, settings.segment, settings.smooth, settings.people
-    )
+        sources, rig, None, sync, settings.rate_hz is None,
+        settings.segment, settings.smooth, settings.people, settings.bones,
+    )  # fmt: skip
 
 
 def _follow(
@@ -173,7 +176,7 @@ def _follow(
         **capture.books.summary(),
         "smoothing": capture.pipeline.smoothing.describe() if capture.pipeline and capture.pipeline.smoothing else None,
         "cameras": {status.name: dataclasses.asdict(status) for status in statuses},
-        "problems": list(capture.problems),
+        "problems": dict(capture.problems),
     }
     if files is not None:
         files.summary |= summary
@@ -187,8 +190,8 @@ def _tell(summary: dict[str, Any], settings: LiveSettings, console: Console) -> 
         f"{summary['poses']} poses in {summary['seconds']:.1f} s ({rate:.1f} a second), {dropped} sets dropped; "
         f"latency {latency['p50']:.0f} ms (p95 {latency['p95']:.0f} ms)"
     )
-    for problem in summary["problems"]:
-        console.print(f"• {problem}", markup=False, highlight=False)
+    for problem, times in summary["problems"].items():
+        console.print(f"• {problem}{f' ({times} times)' if times > 1 else ''}", markup=False, highlight=False)
     for path in (settings.out, settings.record):
         if path is not None:
             console.print(f"written to {path}", markup=False, highlight=False)

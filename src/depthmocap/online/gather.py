@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import Protocol, runtime_checkable
 
-from depthmocap.capture.source import DepthFrame, DepthSource, NoFrame, place, unsourced
+from depthmocap.capture.source import DepthFrame, DepthSource, MisfitError, NoFrame, place, unsourced
 from depthmocap.capture.stamps import frame_period_ns
 from depthmocap.capture.sync import SyncedSet, SyncSettings
 from depthmocap.errors import InputError
@@ -24,8 +24,9 @@ from depthmocap.online.intake import Intake
 
 #: How long a reading thread waits for a frame before it looks whether it shall stop.
 LOOK_S = 0.2
-#: A camera that was lost is tried again after so long.
-RETRY_S = 0.25
+#: A camera that was lost is tried again after so long; one that does not fit the rig after twice as long each time, up
+#: to the second, because opening it disturbs others on its bus.
+RETRY_S, RETRY_MISFIT_S = 0.25, 8.0
 #: Cameras have so long to open at the start, and are then gone on without.
 OPENING_S = 10.0
 #: Frames that a camera may be ahead of the synchroniser.
@@ -106,9 +107,13 @@ class Gatherer:
         """What each camera does, in a word or a line."""
         return {name: reader.state for name, reader in self._readers.items()}
 
+    def failures(self) -> dict[str, int]:
+        """How often each camera was opened in vain."""
+        return {name: reader.failures for name, reader in self._readers.items()}
+
     def note(self, problem: str) -> None:
-        """Remember something that the user should know."""
-        self.intake.problems[problem] = None
+        """Remember something that the user should know, and how often it was so."""
+        self.intake.problems[problem] += 1
 
     def __enter__(self) -> Gatherer:
         """Start reading, and wait until every camera was opened once, or failed.
@@ -239,8 +244,8 @@ class _Reader:
 
     def __init__(self, source: DepthSource, gatherer: Gatherer) -> None:
         self.source, self.state = source, "opening"
-        self.tried, self.opened, self.ended = threading.Event(), False, False
-        self._gatherer = gatherer
+        self.tried, self.opened, self.ended, self.failures = threading.Event(), False, False, 0
+        self._gatherer, self._delivering = gatherer, False
         self._stop = threading.Event()
         # A daemon, because a call of an SDK that never returns must not keep the process alive.
         self._thread = threading.Thread(target=self._run, name=f"camera {source.name}", daemon=True)
@@ -254,25 +259,40 @@ class _Reader:
             self._thread.join(2 * LOOK_S)
 
     def _run(self) -> None:
+        misfit_s = RETRY_S
         while not self._stop.is_set():
+            wait_s = RETRY_S
             try:
                 self._read_on()
+            except MisfitError as error:
+                self._failed(str(error), str(error))
+                misfit_s = wait_s = min(2 * misfit_s, RETRY_MISFIT_S)
             except Exception as error:  # whatever an SDK raises is this camera's trouble alone
-                self.state = str(error) or type(error).__name__
-                self._gatherer.note(f"camera {self.source.name!r} was lost: {self.state}")
+                said = str(error) or type(error).__name__
+                self._failed(said, f"camera {self.source.name!r} was lost: {said}")
             self.tried.set()
             if self.ended:
                 return
-            self._stop.wait(RETRY_S)
+            self._stop.wait(wait_s)
+
+    def _failed(self, state: str, problem: str) -> None:
+        """What happens again each time that the camera is tried is told once."""
+        self.failures += not self._delivering
+        if state != self.state:
+            self._gatherer.note(problem)
+        self.state = state
 
     def _read_on(self) -> None:
         """Open the camera and read it until it ends; errors come out."""
+        self._delivering = False
         with self.source as source:
             camera = source.camera
             self._gatherer.opened(place(camera, self._gatherer.rig) if self._gatherer.rig else camera)
-            self.opened, self.state = True, "running"
+            self.opened, self.state, self._delivering = True, "running", True
             self.tried.set()
             while not self._stop.is_set():
+                while source.problems:
+                    self._gatherer.note(source.problems.popleft())
                 try:
                     frame = source.read(LOOK_S)
                 except NoFrame:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 from collections.abc import Iterable, Iterator
 
 from depthmocap.capture.health import FAULTS, Fault, HealthCheck
@@ -19,15 +20,18 @@ class Intake:
     Attributes:
         cameras: by name, as the rig places them.
         faults: frames that were left out, by camera and fault.
-        problems: what a user should know, one line each.
+        ailing: what is wrong with each camera's last frame.
+        problems: what a user should know, one line each, and how often it was so.
     """
 
     def __init__(self, settings: SyncSettings) -> None:
         self.sync = Synchroniser(settings)
         self.cameras: dict[str, DepthCamera] = {}
         self.faults: dict[str, dict[Fault, int]] = {}
-        self.problems: dict[str, None] = {}
+        self.ailing: dict[str, Fault] = {}
+        self.problems: collections.Counter[str] = collections.Counter()
         self._checks: dict[str, HealthCheck] = {}
+        self._restarts: dict[str, int] = {}
 
     def add_camera(self, camera: DepthCamera) -> None:
         """Expect frames of a camera; one that was there before continues."""
@@ -44,15 +48,19 @@ class Intake:
 
     def add(self, frame: DepthFrame) -> None:
         """Take a frame; one that cannot be right is left out, counted, and told of once."""
-        if frame.camera not in self.cameras:
+        name = frame.camera
+        if name not in self.cameras:
             return
-        fault = self._checks[frame.camera](frame.raw)
-        if not fault:
-            self.sync.add(frame)
+        fault = self.ailing[name] = self._checks[name](frame.raw, frame.timestamp_ns)
+        if fault:
+            self.faults[name][fault] = self.faults[name].get(fault, 0) + 1
+            self.problems[f"camera {name!r}: {FAULTS[fault]}"] += 1
             return
-        counts = self.faults[frame.camera]
-        counts[fault] = counts.get(fault, 0) + 1
-        self.problems[f"camera {frame.camera!r}: {FAULTS[fault]}"] = None
+        self.sync.add(frame)
+        clock = self.sync.clock(name)
+        if clock is not None and clock.restarts > self._restarts.setdefault(name, clock.restarts):
+            self._restarts[name] = clock.restarts
+            self.problems[f"camera {name!r}: its clock {'went back' if clock.went_back else 'jumped ahead'}"] += 1
 
     def run(self, frames: Iterable[DepthFrame]) -> Iterator[SyncedSet]:
         """All sets of frames that come in order of arrival, in their own time, however long anyone takes."""
@@ -74,7 +82,7 @@ def frame_set(synced: SyncedSet, cameras: dict[str, DepthCamera]) -> FrameSet:
     return FrameSet(synced.timestamp_ns, views)
 
 
-def recorded_frames(recording: Recording, problems: dict[str, None]) -> Iterator[DepthFrame]:
+def recorded_frames(recording: Recording, problems: collections.Counter[str]) -> Iterator[DepthFrame]:
     """The frames of a recording in order of time, as if each had arrived at the time it was recorded for.
 
     Frames that cannot be read are left out, and told of in ``problems``.
@@ -84,7 +92,7 @@ def recorded_frames(recording: Recording, problems: dict[str, None]) -> Iterator
         try:
             raw = recording.raw(camera, stamp)
         except InputError as error:
-            problems[str(error)] = None
+            problems[str(error)] += 1
             continue
         timestamp_ns, clock = recording.device_time(camera, stamp)
         yield DepthFrame(camera, raw, timestamp_ns, clock, stamp)

@@ -23,7 +23,7 @@ from depthmocap.online.gather import Gatherer
 from depthmocap.online.intake import Intake, frame_set, recorded_frames
 from depthmocap.online.status import Books, CameraStatus, camera_statuses
 from depthmocap.pipeline import Pipeline, Result
-from depthmocap.pose.track import Smoothing
+from depthmocap.pose.track import Bones, Smoothing
 
 Segment = Literal["auto", "none"]
 
@@ -71,6 +71,7 @@ class LiveCapture:
         segment: Segment = "auto",
         smooth: Smoothing = "auto",
         people: int = 1,
+        bones: Bones = "steady",
     ) -> None:
         """
         Args:
@@ -78,12 +79,13 @@ class LiveCapture:
             pipeline: what makes poses of sets; by default the packaged one. Empty scenes that the sources do not know
                 are learnt while it runs.
             sync, measure_rate: see :class:`Gatherer`.
-            segment, smooth, people: of the default pipeline, see RunSettings.
+            segment, smooth, people, bones: of the default pipeline, see RunSettings.
         """
         self._sources, self._pipeline = list(sources), pipeline
         self._segment: Segment = segment
         self._smooth: Smoothing = smooth
         self._people = people
+        self._bones: Bones = bones
         self.gatherer = Gatherer(sources, rig, sync, measure_rate)
         self.books = Books()
         self.up = rig.up if rig else (sources[0].up if sources else "z")
@@ -110,8 +112,8 @@ class LiveCapture:
         self.gatherer.stop()
 
     @property
-    def problems(self) -> dict[str, None]:
-        """What a user should know, one line each."""
+    def problems(self) -> dict[str, int]:
+        """What a user should know, one line each, and how often it was so."""
         return self.gatherer.intake.problems
 
     @property
@@ -126,7 +128,8 @@ class LiveCapture:
 
     def statuses(self) -> list[CameraStatus]:
         """Every camera now."""
-        return camera_statuses(self.gatherer.intake, self.gatherer.states(), time.monotonic_ns())
+        gatherer = self.gatherer
+        return camera_statuses(gatherer.intake, gatherer.states(), time.monotonic_ns(), gatherer.failures())
 
     def __iter__(self) -> Iterator[LivePose]:
         sets = self.gatherer.sets()
@@ -145,7 +148,7 @@ class LiveCapture:
         cameras = self.gatherer.cameras
         backgrounds = {name: cameras[name].to_metres(raw) for name, raw in self.raw_backgrounds().items()}
         scenes = EmptyScenes(Rig(tuple(cameras.values()), self.up), backgrounds)
-        pipeline = load_pipeline(scenes, self._segment, self._smooth, people=self._people)
+        pipeline = load_pipeline(scenes, self._segment, self._smooth, people=self._people, bones=self._bones)
         return warm(pipeline, frames)
 
 
@@ -172,16 +175,17 @@ class Replay:
         segment: Segment = "auto",
         smooth: Smoothing = "auto",
         people: int = 1,
+        bones: Bones = "steady",
     ) -> None:
         """``pipeline``: by default the packaged one, its background from the recording."""
-        self.pipeline = pipeline or load_pipeline(recording, segment, smooth, people=people)
+        self.pipeline = pipeline or load_pipeline(recording, segment, smooth, people=people, bones=bones)
         self.intake = Intake(sync or SyncSettings(rate_hz=1e9 / recording.period_ns))
         self.books, self.up = Books(), recording.up
         self._recording, self._now_ns = recording, 0
         for camera in recording.rig.cameras:
             if recording.stamps(camera.name):
                 self.intake.add_camera(camera)
-        self.intake.problems |= dict.fromkeys([*recording.problems, *getattr(self.pipeline.segment, "problems", [])])
+        self.intake.problems.update([*recording.problems, *getattr(self.pipeline.segment, "problems", [])])
 
     def __enter__(self) -> Replay:
         return self
@@ -190,8 +194,8 @@ class Replay:
         """Nothing is held open."""
 
     @property
-    def problems(self) -> dict[str, None]:
-        """What a user should know, one line each."""
+    def problems(self) -> dict[str, int]:
+        """What a user should know, one line each, and how often it was so."""
         return self.intake.problems
 
     def statuses(self) -> list[CameraStatus]:
@@ -219,18 +223,19 @@ def live(
     rig: Rig | Path | None = None,
     segment: Segment = "auto",
     smooth: Smoothing = "auto",
+    bones: Bones = "steady",
 ) -> Iterator[Pose]:
     """Poses of one person as cameras deliver; recordings play at their own speed.
 
     Args:
         sources: cameras as ``depthmocap record`` names them, recordings, or opened by yourself.
         rig: where the cameras stand, or its rig.json; recordings know.
-        segment, smooth: see RunSettings.
+        segment, smooth, bones: see RunSettings.
 
     Raises:
         InputError: when a source is not what it says, or no camera can be opened.
     """
-    with _open(sources, rig, segment, smooth, 1) as capture:
+    with _open(sources, rig, segment, smooth, bones, 1) as capture:
         for each in capture:
             yield each.pose
 
@@ -241,13 +246,14 @@ def live_people(
     rig: Rig | Path | None = None,
     segment: Segment = "auto",
     smooth: Smoothing = "auto",
+    bones: Bones = "steady",
 ) -> Iterator[dict[int, Pose]]:
     """Poses of up to so many people by their numbers, which stay theirs, set by set; otherwise as :func:`live`.
 
     Raises:
         InputError: see :func:`live`, or when ``people`` is less than one.
     """
-    with _open(sources, rig, segment, smooth, people) as capture:
+    with _open(sources, rig, segment, smooth, bones, people) as capture:
         for each in capture:
             yield {person.number: person.pose for person in each.result.people}
 
@@ -257,6 +263,7 @@ def _open(
     rig: Rig | Path | None,
     segment: Segment,
     smooth: Smoothing,
+    bones: Bones,
     people: int,
 ) -> LiveCapture:
     pace = Pace(1.0)
@@ -264,4 +271,4 @@ def _open(
     for source in sources:
         opened += [source] if isinstance(source, DepthSource) else make_sources([str(source)], pace)
     rig = load_rig(rig) if isinstance(rig, Path) else rig
-    return LiveCapture(opened, rig, segment=segment, smooth=smooth, people=people)
+    return LiveCapture(opened, rig, segment=segment, smooth=smooth, people=people, bones=bones)

@@ -13,7 +13,12 @@ from depthmocap.pipeline import STAGES
 
 @dataclasses.dataclass(frozen=True)
 class CameraStatus:
-    """One camera now. ``counts`` are of its frames since the start, by what became of them."""
+    """One camera now.
+
+    Attributes:
+        counts: of its frames since the start, by what became of them.
+        opened_in_vain: how often it could not be opened, or did not fit the rig.
+    """
 
     name: str
     state: str
@@ -21,6 +26,7 @@ class CameraStatus:
     drift_ppm: float
     clock_restarts: int
     counts: dict[str, int]
+    opened_in_vain: int = 0
 
     @property
     def lost(self) -> int:
@@ -70,21 +76,23 @@ class Books:
         }
 
 
-def camera_statuses(intake: Intake, states: dict[str, str], now_ns: int) -> list[CameraStatus]:
-    """All cameras: those that were opened, and those that never were."""
-    found = []
+def camera_statuses(
+    intake: Intake, states: dict[str, str], now_ns: int, failures: dict[str, int] | None = None
+) -> list[CameraStatus]:
+    """All cameras, opened or not. ``failures``: how often each was opened in vain."""
+    found, failures = [], failures or {}
     for name, state in states.items():
         if name not in intake.sync.names:
-            found.append(CameraStatus(name, state, 0.0, math.nan, 0, {"missing": 0, "late": 0, "frames": 0}))
+            counts = {"missing": 0, "late": 0, "frames": 0}
+            found.append(CameraStatus(name, state, 0.0, math.nan, 0, counts, failures.get(name, 0)))
             continue
         clock, counts = intake.sync.clock(name), dataclasses.asdict(intake.sync.counts(name))
         rate_hz = intake.sync.rate_hz(name, now_ns)
-        if state == "running" and rate_hz == 0 and counts["frames"]:
+        if state == "running" and (fault := intake.ailing.get(name)):
+            state = f"{fault}: left out"
+        elif state == "running" and rate_hz == 0 and counts["frames"]:
             state = "no frames"
         counts |= dict(intake.faults[name])
-        found.append(
-            CameraStatus(
-                name, state, rate_hz, clock.drift_ppm if clock else math.nan, clock.restarts if clock else 0, counts
-            )
-        )
+        drift_ppm, restarts = (clock.drift_ppm, clock.restarts) if clock else (math.nan, 0)
+        found.append(CameraStatus(name, state, rate_hz, drift_ppm, restarts, counts, failures.get(name, 0)))
     return found
