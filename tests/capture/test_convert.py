@@ -100,6 +100,19 @@ def test_a_camera_of_the_rig_that_is_not_there_is_told(folder: Path, tmp_path: P
     assert "the rig has a camera 'b', but no source of that name was given" in console.export_text()
 
 
+def test_a_camera_that_does_not_fit_is_told_and_the_others_are_recorded(folder: Path, tmp_path: Path) -> None:
+    document = json.loads((folder / "rig.json").read_text())
+    document["cameras"][0]["width"] = 25
+    (tmp_path / "rig.json").write_text(json.dumps(document))
+    console = Console(record=True, width=200)
+    told = record(RecordSettings((str(folder),), tmp_path / "x.mcap", rig=tmp_path / "rig.json"), console)
+    assert told["frames"] == {"b": 6}
+    assert "calibrated at 25×16" in told["states"]["a"]
+    assert told["states"]["b"] == "at its end"
+    assert "• camera 'a' delivers" in console.export_text()
+    assert McapRecording(tmp_path / "x.mcap").rig.names == ("b",)
+
+
 def test_what_cannot_be_recorded(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="at least one camera"):
         record(RecordSettings((), tmp_path / "x.mcap"), QUIET)
@@ -109,7 +122,7 @@ def test_what_cannot_be_recorded(folder: Path, tmp_path: Path) -> None:
     document["cameras"][0]["width"] = 25
     (tmp_path / "rig.json").write_text(json.dumps(document))
     with pytest.raises(InputError, match="calibrated at 25×16"):
-        record(RecordSettings((str(folder),), tmp_path / "x.mcap", rig=tmp_path / "rig.json"), QUIET)
+        record(RecordSettings((f"{folder}#a",), tmp_path / "x.mcap", rig=tmp_path / "rig.json"), QUIET)
     assert not (tmp_path / "x.mcap").exists()
 
 

@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fakes import Board, fake_pipeline
+from rich.console import Console
 
+from depthmocap.capture.convert import ConvertSettings, convert
 from depthmocap.capture.open import open_recording
 from depthmocap.capture.recording import RecordingWriter
 from depthmocap.errors import InputError
@@ -95,6 +97,61 @@ def test_in_real_time_everything_is_recorded_once_the_cameras_are_open(recording
         assert SETS / 2 < len(made.stamps(name)) <= SETS
         assert made.stamps(name) == original.stamps(name)[-len(made.stamps(name)) :]
         np.testing.assert_array_equal(made.raw(name, made.stamps(name)[5]), original.raw(name, made.stamps(name)[5]))
+
+
+@pytest.mark.parametrize("realtime", [False, True])
+def test_bones_are_steady_or_free(recording, tmp_path, monkeypatch, virtual, realtime):
+    given = []
+
+    def load(*arguments, **others):
+        given.append(others["bones"])
+        return fake_pipeline(load_filter("kalman", bones=others["bones"]))
+
+    monkeypatch.setattr(live_module, "load_pipeline", load)
+    free, steady = (
+        run_live(LiveSettings((recording,), realtime=realtime, bones=bones))["smoothing"]["bones"]
+        for bones in ("free", "steady")
+    )
+    assert (given, free) == (["free", "steady"], None)
+    assert steady is not None
+
+
+@pytest.mark.parametrize("realtime", [False, True])
+def test_a_damaged_frame_of_a_recording_is_told(recording, tmp_path, virtual, realtime):
+    bad = sorted((Path(recording) / "cam0").glob("*.png"))[12]
+    bad.write_bytes(bad.read_bytes()[:-30])
+    console = Console(record=True, width=200)
+    problems = run_live(LiveSettings((recording,), realtime=realtime), console)["problems"]
+    assert [(bad.name in line, times) for line, times in problems.items()] == [(True, 1)]
+    assert bad.name in console.export_text()
+
+
+def test_a_recording_that_was_cut_off_is_told_once(recording, tmp_path, virtual):
+    pytest.importorskip("foxglove")
+    cut = tmp_path / "cut.mcap"
+    convert(ConvertSettings(Path(recording), cut))
+    cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
+    summary = run_live(LiveSettings((str(cut),), realtime=True))
+    assert [("cut off" in line, times) for line, times in summary["problems"].items()] == [(True, 1)]
+    assert summary["poses"] > 5
+
+
+def test_a_camera_in_the_dark_is_told_and_counted(tmp_path, monkeypatch, virtual):
+    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments, **others: fake_pipeline())
+    scene, path = Board(2), tmp_path / "recording"
+    with RecordingWriter(path, scene.rig) as writer:
+        for i in range(100):
+            frames = {name: scene.depth(name, i * 0.04) for name in scene.rig.names}
+            if 25 <= i < 75:
+                frames["cam1"][:] = 0
+            writer.write(i * 40_000_000, frames)
+    console = Console(record=True, width=200)
+    summary = run_live(LiveSettings((str(path),), segment="none"), console)
+    assert summary["poses"] == 100
+    assert summary["cameras"]["cam1"]["counts"]["dark"] == 50
+    assert "• camera 'cam1': no pixel has depth: is it covered, or too near to something? (50 times)" in (
+        console.export_text()
+    )
 
 
 def test_nobody_in_view_is_told(recording, tmp_path, monkeypatch):
