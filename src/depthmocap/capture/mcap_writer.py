@@ -159,17 +159,21 @@ class Topics:
         self._coding: Coding = coding
         self._sdk, self._context = sdk, context
         self._depth: dict[str, Any] = {}
-        self._places = {
-            camera.name: (
-                sdk.channels.CameraCalibrationChannel(f"/{camera.name}/calibration", context=context),
-                sdk.channels.FrameTransformChannel(
-                    f"/{camera.name}/transform", context=context,
-                    metadata={"world_from_camera": json.dumps(camera.world_from_camera.tolist())},
-                ),
-            )
-            for camera in rig.cameras
-        }  # fmt: skip
+        self._places = {camera.name: self._place(camera) for camera in rig.cameras}
         self._truth = None
+
+    def _place(self, camera: DepthCamera) -> tuple[Any, Any]:
+        """Channels of a camera's calibration and of where it stands."""
+        channels, metadata = self._sdk.channels, {"world_from_camera": json.dumps(camera.world_from_camera.tolist())}
+        return (
+            channels.CameraCalibrationChannel(f"/{camera.name}/calibration", context=self._context),
+            channels.FrameTransformChannel(f"/{camera.name}/transform", context=self._context, metadata=metadata),
+        )
+
+    def add(self, camera: DepthCamera) -> None:
+        """One more camera, which ``describe`` tells of from now on."""
+        self.rig = Rig((*self.rig.cameras, camera), self.rig.up)
+        self._places[camera.name] = self._place(camera)
 
     def _images(self, camera: DepthCamera, kind: str, clock: str) -> Any:
         channels = self._sdk.channels
@@ -281,6 +285,21 @@ class McapWriter:
         except InputError:
             self._sink.close()
             raise
+
+    def add_camera(self, camera: DepthCamera) -> None:
+        """Record one more camera from now on.
+
+        Raises:
+            InputError: when one of its name is there, or the file cannot be written any further.
+        """
+        if camera.name in self.rig.names:
+            raise InputError(f"{self.path} has a camera {camera.name!r} already")
+        with self._lock:
+            self._sink.check()
+            self._topics.add(camera)
+            self._topics.describe(time.time_ns())
+            self._sink.flush()
+            self.rig, self.frames[camera.name] = self._topics.rig, 0
 
     def write(
         self,

@@ -13,10 +13,9 @@ from rich.console import Console
 from rich.live import Live
 
 from depthmocap.capture.cameras import make_sources
-from depthmocap.capture.mcap_writer import SHARED_CLOCK, McapWriter
+from depthmocap.capture.mcap_writer import McapWriter
 from depthmocap.capture.open import open_recording
 from depthmocap.capture.recorded import Pace
-from depthmocap.capture.source import DepthFrame
 from depthmocap.capture.sync import SyncSettings
 from depthmocap.errors import InputError
 from depthmocap.export.files import PeopleFiles, PoseFiles
@@ -24,6 +23,7 @@ from depthmocap.frames import Pose
 from depthmocap.geometry import Rig, load_rig
 from depthmocap.online.dashboard import draw_dashboard
 from depthmocap.online.live import LiveCapture, Replay, Segment
+from depthmocap.online.recorder import McapRecorder
 from depthmocap.pose.track import Bones, Smoothing
 
 #: The dashboard is drawn so often.
@@ -66,20 +66,6 @@ class LiveSettings:
     triggered: bool = False
 
 
-class _Mcap:
-    """Frames into an MCAP file, with the host's time of day."""
-
-    def __init__(self, writer: McapWriter) -> None:
-        self._writer, self._day_ns = writer, time.time_ns() - time.monotonic_ns()
-
-    def write(self, frame: DepthFrame) -> None:
-        """Add a frame, from any thread; cameras that came later than the file are not in it."""
-        if frame.camera not in self._writer.rig.names:
-            return
-        arrival_ns = frame.timestamp_ns if frame.clock == SHARED_CLOCK else frame.arrival_ns + self._day_ns
-        self._writer.write(frame.camera, frame.timestamp_ns, frame.raw, arrival_ns, frame.clock)
-
-
 def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str, Any]:
     """Run until the end, ``seconds`` or Ctrl-C, write everything, and return the summary.
 
@@ -96,9 +82,9 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str
         if settings.record is not None:
             if isinstance(capture, Replay):
                 raise InputError("--record needs --realtime: played as fast as it goes, a recording is only read")
-            rig = Rig(tuple(capture.gatherer.cameras.values()), capture.up)
-            backgrounds = capture.raw_backgrounds()
-            capture.gatherer.recorder = _Mcap(stack.enter_context(McapWriter(settings.record, rig, backgrounds)))
+            cameras = capture.gatherer.cameras
+            writer = McapWriter(settings.record, Rig(tuple(cameras.values()), capture.up), capture.raw_backgrounds())
+            capture.gatherer.recorder = McapRecorder(stack.enter_context(writer), cameras)
         files = stack.enter_context(PoseFiles(settings.out, capture.up)) if settings.out else None
         everybody = None
         if settings.out is not None and settings.people > 1:

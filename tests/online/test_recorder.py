@@ -1,0 +1,65 @@
+"""What a running motion capture records."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+from fakes import Board, fake_pipeline
+
+pytest.importorskip("foxglove")
+
+from depthmocap.capture.mcap_recording import McapRecording
+from depthmocap.capture.mcap_writer import McapWriter
+from depthmocap.capture.simulator import SimulatedCamera, Simulation
+from depthmocap.capture.source import DepthFrame
+from depthmocap.capture.sync import SyncSettings
+from depthmocap.errors import InputError
+from depthmocap.geometry import Rig
+from depthmocap.online.live import LiveCapture
+from depthmocap.online.recorder import McapRecorder
+
+
+def test_a_camera_that_comes_later_is_in_the_recording(tmp_path, virtual):
+    scene = Board(2)
+    simulation = Simulation(scene, 20.0, 3.0)
+    with LiveCapture(
+        [SimulatedCamera(simulation, "cam0", virtual.monotonic_ns())],
+        scene.rig,
+        fake_pipeline(),
+        SyncSettings(20.0),
+        False,
+    ) as capture:
+        cameras = capture.gatherer.cameras
+        with McapWriter(tmp_path / "take.mcap", Rig(tuple(cameras.values()))) as writer:
+            capture.gatherer.recorder = McapRecorder(writer, cameras)
+            for _ in itertools.islice(capture, 20):
+                pass
+            capture.gatherer.add(SimulatedCamera(simulation, "cam1", virtual.monotonic_ns()))
+            for _ in itertools.islice(capture, 20):
+                pass
+            capture.stop()
+            written = dict(writer.frames)
+    recording = McapRecording(tmp_path / "take.mcap")
+    assert recording.complete
+    assert recording.rig.names == ("cam0", "cam1")
+    np.testing.assert_array_equal(recording.rig["cam1"].world_from_camera, scene.rig["cam1"].world_from_camera)
+    assert {name: len(recording.stamps(name)) for name in written} == written
+    assert written["cam0"] >= written["cam1"] + 19
+    assert written["cam1"] >= 20
+    stamp = recording.stamps("cam1")[-1]
+    time_s = recording.device_time("cam1", stamp)[0] * 1e-9
+    np.testing.assert_array_equal(recording.raw("cam1", stamp), scene.depth("cam1", time_s))
+
+
+def test_a_frame_of_another_size_does_not_end_the_recording(tmp_path):
+    scene = Board(1)
+    good = DepthFrame("cam0", scene.depth("cam0", 0.0), 10**9, "device", 10**9)
+    bad = dataclasses.replace(good, raw=good.raw[:-2], timestamp_ns=2 * 10**9)
+    with McapWriter(tmp_path / "take.mcap", scene.rig) as writer:
+        recorder = McapRecorder(writer, {"cam0": scene.rig["cam0"]})
+        for frame in (good, bad, dataclasses.replace(good, timestamp_ns=3 * 10**9)):
+            recorder.write(frame)
+        with pytest.raises(InputError, match="has a camera 'cam0' already"):
+            writer.add_camera(scene.rig["cam0"])
+        assert writer.frames == {"cam0": 2}
