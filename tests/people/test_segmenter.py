@@ -138,7 +138,7 @@ def test_without_a_background_somebody_is_found_at_once_and_the_room_is_learnt(s
     for i in range(30, 60):
         people = segment(scene.look(i)[0])
     assert people == ()
-    for i in range(60, 63):  # looked at twice, because somebody as tall is away
+    for i in range(60, 68):  # measured first, because somebody is away
         frames, masks = scene.look(i, body(-0.6, 0.3))
         people = segment(frames)
     assert overlap(people[0].masks, masks[0]) > 0.8

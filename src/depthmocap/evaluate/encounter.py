@@ -1,4 +1,4 @@
-"""Two people who come, cross, stand together, go and return in a furnished room, as cameras with their errors see them.
+"""A story in a furnished room, as cameras with their errors see it.
 
 Everything is known: whose every pixel is, and where everybody's joints are.
 """
@@ -12,27 +12,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from depthmocap.body.model import BodyModel
 from depthmocap.body.skeleton import JOINT_INDEX
+from depthmocap.evaluate.stories import HALF_X, HALF_Y, Story
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import Rig, look_at
-from depthmocap.synth.motion.perform import Motion
-from depthmocap.synth.motion.stroll import Stop, stroll
-from depthmocap.synth.people.bodies import random_phenotype
-from depthmocap.synth.people.garments import DressedBody, clothe
-from depthmocap.synth.people.wardrobe import random_clothes
 from depthmocap.synth.render import Material, render_person
 from depthmocap.synth.scenes.room import Box, Room, render_room, shelf, table
 from depthmocap.synth.sensing.sensor import sense
 from depthmocap.synth.sensing.sensors import SENSORS, SensorPreset
-
-#: How long an encounter lasts (s).
-SECONDS = 22.0
-#: Half the room's sides; people come from behind its walls (metres).
-HALF_X, HALF_Y = 3.0, 2.9
-_OUTSIDE = 0.6
-#: The chair is pushed aside within this time (s).
-PUSHED_S = (7.0, 7.6)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -59,19 +46,17 @@ class Encounter:
         backgrounds_m: what each camera reads of the room before anybody comes.
     """
 
-    def __init__(self, rng: np.random.Generator, cameras: int = 3, rate_hz: float = 15.0, apart_m: float = 0.5) -> None:
-        """
-        Args:
-            apart_m: distance of the two persons' middles when they stand side by side.
-        """
-        self.times_s = np.arange(round(SECONDS * rate_hz)) / rate_hz
+    def __init__(self, rng: np.random.Generator, story: Story, cameras: int = 3, rate_hz: float = 15.0) -> None:
+        """Draw cameras, people and their ways."""
+        self.times_s = np.arange(round(story.seconds * rate_hz)) / rate_hz
         self._seed = int(rng.integers(2**32))
         presets = [SENSORS["kinect2"], SENSORS["azure-nfov-binned"]]
         self._presets = [presets[i % 2] for i in range(cameras)]
         self.rig = Rig(tuple(_mount(rng, i, cameras, preset) for i, preset in enumerate(self._presets)))
         self._chair = np.array([rng.uniform(1.0, 1.4), rng.uniform(-1.4, -1.0)])
-        people = [_somebody(rng) for _ in range(2)]
-        self._people = tuple(zip(people, _ways(rng, people, self._chair, apart_m, self.times_s), strict=True))
+        people = story.cast(rng)
+        self._people = tuple(zip(people, story.ways(rng, people, self._chair, self.times_s), strict=True))
+        self._pushed_s = story.pushed_s
         self._rooms = {shift: self._draw_room(shift) for shift in (0.0, 1.0)}
         noise = np.random.default_rng([self._seed, 1])
         self.backgrounds_m = {}
@@ -79,11 +64,20 @@ class Encounter:
             material = np.full(depth_m.shape, Material.SCENE, np.uint8)
             self.backgrounds_m[camera.name] = sense(depth_m, material, camera, preset.model, noise)
 
-    def moments(self, present: tuple[bool, bool] = (True, True)) -> Iterator[Moment]:
-        """All sets, with the people who are ``present``; noise is the same whenever it is asked for."""
+    @property
+    def count(self) -> int:
+        """How many people there are."""
+        return len(self._people)
+
+    def moments(self, *, alone: bool = False) -> Iterator[Moment]:
+        """All sets, with everybody or the first person only; noise is the same whenever it is asked for."""
+        present = [not alone or k == 0 for k in range(self.count)]
         rng = np.random.default_rng([self._seed, 2])
         for i, time_s in enumerate(self.times_s):
-            shift = float(np.clip((time_s - PUSHED_S[0]) / (PUSHED_S[1] - PUSHED_S[0]), 0, 1)) * present[1]
+            shift = 0.0
+            if self._pushed_s is not None and not alone:
+                begin_s, end_s = self._pushed_s
+                shift = float(np.clip((time_s - begin_s) / (end_s - begin_s), 0, 1))
             rooms = self._rooms.get(shift) or self._draw_room(shift)
             posed = [
                 dressed.pose(motion.postures[i]).moved(np.eye(3), motion.offsets[i]) if here else None
@@ -101,15 +95,15 @@ class Encounter:
                         depth_m, material = drawn.depth_m, drawn.material
                 read_m = sense(depth_m, material, camera, preset.model, rng)
                 views.append(View(camera, read_m))
-                masks.append([(who == k + 1) & (read_m > 0) for k in range(2)])
+                masks.append([(who == k + 1) & (read_m > 0) for k in range(self.count)])
                 things.append(chair & (who == 0) & (read_m > 0))
             joints = tuple(
                 person.joints if person is not None and _inside(person.joints) else np.full((18, 3), np.nan)
                 for person in posed
             )
             yield Moment(
-                FrameSet(round(float(time_s) * 1e9), tuple(views), joints[0]),
-                tuple(tuple(each[k] for each in masks) for k in range(2)), joints, tuple(things),
+                FrameSet(round(float(time_s) * 1e9), tuple(views), joints[0] if joints else None),
+                tuple(tuple(each[k] for each in masks) for k in range(self.count)), joints, tuple(things),
             )  # fmt: skip
 
     def _draw_room(self, shift: float) -> list[tuple[Float[ndarray, "_ _"], Bool[ndarray, "_ _"]]]:
@@ -145,32 +139,3 @@ def _mount(rng: np.random.Generator, index: int, count: int, preset: SensorPrese
     reach = rng.uniform(2.5, 2.7)
     eye = np.array([reach * np.sin(azimuth), -reach * np.cos(azimuth), rng.uniform(1.5, 2.2)])
     return preset.camera(f"cam{index}", look_at(eye, np.array([*rng.uniform(-0.15, 0.15, 2), 0.95])))
-
-
-def _somebody(rng: np.random.Generator) -> DressedBody:
-    phenotype = random_phenotype(rng, children=False)
-    return clothe(BodyModel.load().shape(phenotype), random_clothes(rng, False, phenotype.gender), rng)
-
-
-def _ways(
-    rng: np.random.Generator,
-    people: list[DressedBody],
-    chair: Float[ndarray, "2"],
-    apart_m: float,
-    times_s: Float[ndarray, " n"],
-) -> list[Motion]:
-    """The first comes and stands in the middle, then walks about; the second comes by, pushes the chair aside, stands
-    beside the first, crosses their way, goes, and returns."""
-    x, y = rng.uniform(-0.2, 0.2, 2)
-    first = [
-        Stop(-HALF_X - _OUTSIDE, y), Stop(x, y, 7.0), Stop(x + 0.2, y + 1.1, 0.5), Stop(x - 0.9, y - 0.9, 1.0),
-        Stop(x, y),
-    ]  # fmt: skip
-    second = [
-        Stop(chair[0] - 0.1, HALF_Y + _OUTSIDE), Stop(chair[0] - 0.45, chair[1] + 0.2, 0.3), Stop(x + apart_m, y, 1.0),
-        Stop(x - 0.2, y - 1.3, 0.4), Stop(HALF_X + _OUTSIDE, y - 0.5, 1.5), Stop(x + 1.0, y - 0.1),
-    ]  # fmt: skip
-    return [
-        stroll(people[0], first, 0.3, rng.uniform(1.0, 1.2), times_s),
-        stroll(people[1], second, 3.0, rng.uniform(1.0, 1.2), times_s),
-    ]

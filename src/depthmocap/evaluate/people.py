@@ -1,4 +1,5 @@
-"""``depthmocap evaluate people``: are several people found, told apart and followed, and is one as good as alone?"""
+"""``depthmocap evaluate people``: are people found, told apart, followed and known again, and is one of several as good
+as alone?"""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ import json
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -22,8 +23,10 @@ from depthmocap.capture.segment import PersonSegmenter
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.evaluate.encounter import Encounter, Moment
+from depthmocap.evaluate.stories import Beside, Empty, Meeting, Story, Visits
 from depthmocap.frames import FrameSet
 from depthmocap.people.segmenter import PeopleSegmenter, SeenPerson
+from depthmocap.people.track import GONE_S
 from depthmocap.pipeline import Pipeline, Segmenter
 from depthmocap.pose.estimate import load_estimator
 from depthmocap.settings import check_seed, plain_settings
@@ -39,18 +42,22 @@ Masks = tuple[Bool[ndarray, "_ _"], ...]
 
 @dataclasses.dataclass(frozen=True)
 class PeopleEvaluation:
-    """Two people come, cross, stand side by side, push a chair, go and return, in generated scenes.
+    """People in generated scenes.
 
     Attributes:
-        scenes: so many, of other people, cameras and ways.
+        story: meeting: two come, cross, stand side by side, push a chair, go and return. returns: two or three come and
+            go, and all are away before they return. beside: one stands close to furniture when it begins, and an empty
+            room.
+        scenes: so many of each kind that the story has, of other people, cameras and ways.
         cameras: in each.
         rate_hz: sets a second.
         apart_m: between the two when they stand side by side, from middle to middle.
-        joints: measure the first person's joints as well, with the second one there and without; most of the time goes
-            there.
+        joints: of a meeting, measure the first person's joints as well, with the second one there and without; most of
+            the time goes there.
         json: file for all numbers.
     """
 
+    story: Literal["meeting", "returns", "beside"] = "meeting"
     scenes: int = 4
     cameras: int = 3
     rate_hz: float = 15.0
@@ -94,27 +101,29 @@ def evaluate_people(settings: PeopleEvaluation, console: Console | None = None) 
     """Make the scenes, follow the people in them and print what became of it; returns the numbers."""
     console = console or Console(stderr=True)
     rng = np.random.default_rng(settings.seed)
-    known, learnt = Following(), Following()
+    numbers: dict[str, Any] = {"settings": plain_settings(settings)}
     errors: dict[str, list[ndarray]] = {}
-    for index in range(settings.scenes):
-        encounter = Encounter(rng, settings.cameras, settings.rate_hz, settings.apart_m)
-        known.begin(PeopleSegmenter(encounter.backgrounds_m, people=2))
-        learnt.begin(PeopleSegmenter({}, people=2))
-        joints = FirstJoints(encounter) if settings.joints else None
-        description = f"scene {index + 1} of {settings.scenes}"
-        for moment in track(encounter.moments(), description, len(encounter.times_s), console=console, transient=True):
-            known.add(moment)
-            learnt.add(moment)
+    for kind, story, backgrounds in _kinds(settings):
+        followings = {background: Following() for background in backgrounds}
+        for index in range(settings.scenes):
+            encounter = Encounter(rng, story, settings.cameras, settings.rate_hz)
+            for background, following in followings.items():
+                known = encounter.backgrounds_m if background == "known" else {}
+                following.begin(PeopleSegmenter(known, people=max(encounter.count, 1)), encounter.count)
+            joints = FirstJoints(encounter) if settings.joints and settings.story == "meeting" else None
+            description = f"{kind}, scene {index + 1} of {settings.scenes}"
+            moments = encounter.moments()
+            for moment in track(moments, description, len(encounter.times_s), console=console, transient=True):
+                for following in followings.values():
+                    following.add(moment)
+                if joints is not None:
+                    joints.add(moment)
             if joints is not None:
-                joints.add(moment)
-        if joints is not None:
-            for name, found in joints.finish(encounter.moments((True, False))).items():
-                errors.setdefault(name, []).append(found)
-    numbers: dict[str, Any] = {
-        "settings": plain_settings(settings),
-        "background known": known.numbers(),
-        "background learnt": learnt.numbers(),
-    }
+                for name, found in joints.finish(encounter.moments(alone=True)).items():
+                    errors.setdefault(name, []).append(found)
+        numbers |= {
+            f"{kind}, background {background}": following.numbers() for background, following in followings.items()
+        }
     if errors:
         numbers["first person's joints, cm"] = {name: _error_row(found) for name, found in errors.items()}
     _tell(numbers, console)
@@ -124,21 +133,35 @@ def evaluate_people(settings: PeopleEvaluation, console: Console | None = None) 
     return numbers
 
 
+def _kinds(settings: PeopleEvaluation) -> list[tuple[str, Story, tuple[str, ...]]]:
+    """Names, stories, and what is known of the background."""
+    if settings.story == "meeting":
+        return [("meeting", Meeting(settings.apart_m), ("known", "learnt"))]
+    if settings.story == "beside":
+        return [("beside furniture", Beside(), ("learnt",)), ("empty room", Empty(), ("learnt",))]
+    return [
+        ("two, unlike", Visits(2), ("known",)),
+        ("two, alike", Visits(2, alike=True), ("known",)),
+        ("three, unlike", Visits(3), ("known",)),
+        ("three, alike", Visits(3, alike=True), ("known",)),
+        ("two and a newcomer", Visits(3, newcomer=True), ("known",)),
+    ]
+
+
 class Following:
     """What becomes of the people in scenes: overlaps of their masks, numbers given, delays, and time spent."""
 
     def __init__(self) -> None:
         self._overlaps: list[float] = []
         self._first_s: list[float] = []
+        self._returns = {"old": 0, "new": 0, "wrong": 0}
         self._ghosts = self._sets = self._views = self._switches = 0
         self._spent_s = 0.0
 
-    def begin(self, segmenter: PeopleSegmenter) -> None:
-        """Begin a scene."""
+    def begin(self, segmenter: PeopleSegmenter, count: int) -> None:
+        """Begin a scene with so many people."""
         self._segmenter = segmenter
-        self._numbers: list[int | None] = [None, None]
-        #: When each came into view, and whether they are still waited for.
-        self._came_s, self._awaited = [np.nan, np.nan], [False, False]
+        self._people = [_Followed() for _ in range(count)]
 
     def add(self, moment: Moment) -> None:
         """Follow into the next set."""
@@ -154,42 +177,63 @@ class Following:
         self._sets += 1
         self._views += len(moment.frames.views)
         now_s, taken = moment.frames.timestamp_ns * 1e-9, set()
-        for k, true in enumerate(moment.masks):
+        for person, true in zip(self._people, moment.masks, strict=True):
             if surface_m2(moment.frames, true) < IN_VIEW_M2:
-                self._came_s[k] = np.nan
+                person.came_s = np.nan
                 continue
-            if np.isnan(self._came_s[k]):
-                self._came_s[k], self._awaited[k] = now_s, True
+            if np.isnan(person.came_s):
+                person.came_s, person.awaited = now_s, True
             best, number = max(((overlap(own.masks, true), own.number) for own in people), default=(0.0, 0))
             self._overlaps.append(best)
-            if best < FOUND:
-                continue
-            taken.add(number)
-            self._switches += self._numbers[k] not in (None, number)
-            self._numbers[k] = number
-            if self._awaited[k]:
-                self._first_s.append(now_s - self._came_s[k])
-            self._awaited[k] = False
+            if best >= FOUND:
+                taken.add(number)
+                self._find(person, number, now_s)
         for own in people:
             if own.number not in taken and surface_m2(moment.frames, own.masks) >= IN_VIEW_M2:
-                self._ghosts += max(overlap(own.masks, true) for true in moment.masks) < 0.2
+                self._ghosts += max((overlap(own.masks, true) for true in moment.masks), default=0.0) < 0.2
+
+    def _find(self, person: _Followed, number: int, now_s: float) -> None:
+        others = {number for each in self._people if each is not person for number in each.numbers}
+        if person.awaited:
+            self._first_s.append(now_s - person.came_s)
+            if person.numbers and person.came_s - person.found_s > GONE_S:
+                self._returns["old" if number in person.numbers else "wrong" if number in others else "new"] += 1
+            elif not person.numbers:
+                self._returns["wrong"] += number in others
+        person.awaited = False
+        self._switches += bool(person.numbers) and number != person.numbers[-1]
+        if number not in person.numbers[-1:]:
+            person.numbers.append(number)
+        person.found_s = now_s
 
     def numbers(self) -> dict[str, float]:
         """What became of all."""
         overlaps, first_s = np.array(self._overlaps), np.array(self._first_s)
-        return {
+        numbers = {"sets": self._sets, "ghost_sets": self._ghosts, "cpu_ms_per_view": self._spent_s * 1e3 / self._views}
+        if not len(overlaps):
+            return numbers
+        return numbers | {
             "persons_in_sets": len(overlaps),
             "overlap_mean": float(overlaps.mean()),
             "overlap_p5": float(np.quantile(overlaps, 0.05)),
             "found_share": float((overlaps >= FOUND).mean()),
             "switches": self._switches,
+            **{f"returns_{outcome}": count for outcome, count in self._returns.items()},
             "arrivals": len(first_s),
             "first_mask_s_p50": float(np.median(first_s)),
             "first_mask_s_most": float(first_s.max()),
-            "ghost_sets": self._ghosts,
-            "sets": self._sets,
-            "cpu_ms_per_view": self._spent_s * 1e3 / self._views,
         }
+
+
+@dataclasses.dataclass(eq=False)
+class _Followed:
+    """Somebody in a scene: their numbers so far, when they came into view, whether they are still waited for, and when
+    they were last found."""
+
+    numbers: list[int] = dataclasses.field(default_factory=list)
+    came_s: float = np.nan
+    awaited: bool = False
+    found_s: float = np.nan
 
 
 def overlap(found: Masks, true: Masks) -> float:
@@ -262,17 +306,20 @@ def _error_row(scenes: Sequence[Float[ndarray, "_ 2"]]) -> dict[str, float]:
 
 
 def _tell(numbers: dict[str, Any], console: Console) -> None:
-    table = Table(title=f"people in their masks, {numbers['background known']['sets']} sets", title_justify="left")
-    for heading in ("", "overlap", "p5", "found", "switches", "mask after s", "at most", "ghosts", "CPU ms"):
-        table.add_column(heading, justify="right" if heading else "left", no_wrap=not heading)
-    for name in ("background known", "background learnt"):
-        row = numbers[name]
-        table.add_row(
-            name, f"{row['overlap_mean']:.3f}", f"{row['overlap_p5']:.3f}", f"{row['found_share']:.1%}",
-            f"{row['switches']}", f"{row['first_mask_s_p50']:.2f}",
-            f"{row['first_mask_s_most']:.2f}", f"{row['ghost_sets']}",
-            f"{row['cpu_ms_per_view']:.2f}",
-        )  # fmt: skip
+    rows = {name: row for name, row in numbers.items() if "sets" in row}
+    table = Table(title="people in their masks", title_justify="left")
+    for heading in ("", "sets", "overlap", "p5", "found", "switches", "old, new, wrong", "mask after s", "at most",
+                    "ghosts", "CPU ms"):  # fmt: skip
+        table.add_column(heading, justify="right" if heading else "left")
+    for name, row in rows.items():
+        found = ["–"] * 7
+        if "arrivals" in row:
+            found = [
+                f"{row['overlap_mean']:.3f}", f"{row['overlap_p5']:.3f}", f"{row['found_share']:.1%}",
+                f"{row['switches']}", f"{row['returns_old']}, {row['returns_new']}, {row['returns_wrong']}",
+                f"{row['first_mask_s_p50']:.2f}", f"{row['first_mask_s_most']:.2f}",
+            ]  # fmt: skip
+        table.add_row(name, f"{row['sets']}", *found, f"{row['ghost_sets']}", f"{row['cpu_ms_per_view']:.2f}")
     console.print(table)
     if (errors := numbers.get("first person's joints, cm")) is None:
         return

@@ -81,6 +81,15 @@ def add_area(depth_m, pixels, columns, pixel_m2, out):
 
 
 @numba.njit(cache=True, nogil=True)
+def _measure(owner, area, column, level, nx, areas, profiles):
+    """Add the surface of one pixel to what is known of its owner."""
+    areas[owner, 0] += area
+    areas[owner, 1] += area * (column % nx + 0.5)
+    areas[owner, 2] += area * (column // nx + 0.5)
+    profiles[owner, level] += area
+
+
+@numba.njit(cache=True, nogil=True)
 def measure_blobs(depth_m, pixels, columns, levels, pixel_m2, blobs, nx, areas, profiles):
     """Add surface to the blob of each column: ``areas`` (blob; m², times x, times y) and ``profiles`` (blob, level)."""
     flat = depth_m.ravel()
@@ -89,11 +98,7 @@ def measure_blobs(depth_m, pixels, columns, levels, pixel_m2, blobs, nx, areas, 
         blob = blobs[column]
         if blob:
             z = flat[pixels[i]]
-            area = z * z * pixel_m2
-            areas[blob, 0] += area
-            areas[blob, 1] += area * (column % nx + 0.5)
-            areas[blob, 2] += area * (column // nx + 0.5)
-            profiles[blob, levels[i]] += area
+            _measure(blob, z * z * pixel_m2, column, levels[i], nx, areas, profiles)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -183,11 +188,7 @@ def measure_divided(depth_m, pixels, columns, levels, pixel_m2, blobs, blob, vol
         if blobs[column] == blob:
             owner = volume[levels[i] * len(blobs) + column]
             z = flat[pixels[i]]
-            area = z * z * pixel_m2
-            areas[owner, 0] += area
-            areas[owner, 1] += area * (column % nx + 0.5)
-            areas[owner, 2] += area * (column // nx + 0.5)
-            profiles[owner, levels[i]] += area
+            _measure(owner, z * z * pixel_m2, column, levels[i], nx, areas, profiles)
 
 
 @numba.njit(cache=True, nogil=True)

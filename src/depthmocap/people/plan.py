@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
-from depthmocap.geometry import DepthCamera, transform_points
+from depthmocap.frames import View
+from depthmocap.geometry import DepthCamera, rigid_inverse, transform_points
 from depthmocap.kernels.people import add_area, find_candidates, measure_blobs, place_candidates
 from depthmocap.people.background import FAR_M
 
@@ -28,6 +29,8 @@ LEAST_M2 = 0.0006
 FEWEST_TOGETHER = 3
 #: A stray pixel at a silhouette hangs at least this far behind one surface and before another.
 FLYING_M = 0.08
+#: What is nearer to a camera than a place by this stands before it (metres): more than half a head.
+BEFORE_M = 0.2
 #: A blob begins and ends where this much surface is above and below (m²): less is noise.
 _TIP_M2 = 0.006
 
@@ -147,6 +150,18 @@ class Plan:
             labels, sums[1:, 0], sums[1:, 1:] / np.maximum(sums[1:, :1], 1e-12) * CELL_M,
             np.sort((boxes[1:, 2:4] - 2) * CELL_M, axis=1)[:, ::-1], tops, bottoms,
         )  # fmt: skip
+
+    def overlooked(self, views: Sequence[View], place_m: Float[ndarray, "2"], height_m: float) -> bool:
+        """Whether two views at least (or the only one) show what is at a place and a height (metres), with nothing
+        before it: what is lower there is not cut off by the edge of a picture, a door frame or a lamp."""
+        point = transform_points(rigid_inverse(self.plan_from_world), np.array([*place_m, height_m]))
+        shown = 0
+        for view in views:
+            u, v, z = view.camera.project(point).tolist()
+            if 0 <= u < view.camera.width - 1 and 0 <= v < view.camera.height - 1:  # NaN behind a camera is not
+                depth_m = float(view.depth_m[round(v), round(u)])
+                shown += depth_m == 0 or depth_m > z - BEFORE_M
+        return shown >= min(len(views), 2)
 
     def around(self, places_m: Sequence[Float[ndarray, "2"]], radius_m: float) -> Bool[ndarray, " columns"]:
         """Columns within a radius of any of the places (metres, from the plan's corner)."""

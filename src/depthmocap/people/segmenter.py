@@ -117,7 +117,11 @@ class PeopleSegmenter:
         blobs = plan.blobs(seen)
         owner, shared = self._tracks.assign(blobs, now_s)
         divided = self._divider.divide(plan, blobs, seen, self._tracks.alive, shared)
-        self._tracks.update(owner, blobs, divided, not any(view.trusted for view in seen), now_s)
+
+        def overlooked(place_m: Float[ndarray, "2"], height_m: float) -> bool:
+            return plan.overlooked(views, place_m, height_m)
+
+        self._tracks.update(owner, blobs, divided, not any(view.trusted for view in seen), overlooked, now_s)
         owners = np.concatenate([[0], owner]).astype(np.uint8)
         owners[[each.blob + 1 for each in shared]] = 255
         columns = owners[blobs.labels.ravel()]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -27,11 +28,18 @@ HEIGHT_WEIGHT, SPECK_M2 = 0.7, 0.03
 INSIDE_M = 0.3
 #: Smaller blobs (m²) this near to the middle of somebody (metres) are parts of them.
 PART_M2, PART_M = 0.12, 0.8
-#: After this time unseen somebody is gone (s); one as tall who comes within the next is taken for them.
-GONE_S, AWAY_S, SAME_HEIGHT_M = 1.0, 60.0, 0.06
-#: Somebody who comes while others are away is looked at first: until their feet have been seen, so much surface (m²),
-#: and their height does not grow by more than this over what it was (metres); but no longer than this (s).
-FEET_M, WHOLE_M2, SETTLED_M, RECOGNISE_S = 0.3, 0.4, 0.02, 2.0
+#: After this time unseen somebody is gone, and this time later forgotten (s).
+GONE_S, AWAY_S = 1.0, 60.0
+#: Who comes is taken for somebody who is away if they are as tall (metres), and everybody else who is away is less
+#: alike by at least the second.
+SAME_HEIGHT_M, CLEARLY_M = 0.03, 0.03
+#: Heights are measured so often (s), where as much over the head is in view (metres); the last ones count, and a few
+#: must have been measured: a step's worth. Somebody who comes while others are away has no number until then, but no
+#: longer than this (s).
+MEASURE_S, OVER_M, HEIGHTS, LEAST_HEIGHTS, RECOGNISE_S = 0.09, 0.1, 60, 6, 3.0
+#: Somebody has been seen from head to foot when their feet were seen, so much surface (m²), and their height does not
+#: grow by more than this over what it was (metres).
+FEET_M, WHOLE_M2, SETTLED_M = 0.3, 0.4, 0.02
 #: What stays within this (metres) for so long (s) is a thing: if it was never tall, if it was there before the
 #: background was known and has not moved, and otherwise.
 STILL_M, LOW_STILL_S, DOUBT_STILL_S, STILL_S = 0.012, 3.0, 10.0, 60.0
@@ -53,6 +61,8 @@ class Track:
         area_m2: seen now; 0 when hidden.
         whole: has been seen from head to foot.
         alone_s: how long they were seen in a blob of their own.
+        heights_m: how high the head was, of late, whenever what is over it was in view.
+        measured_s: when that was last.
     """
 
     label: int
@@ -70,6 +80,8 @@ class Track:
     birth_m: Float[ndarray, "2"] = dataclasses.field(default_factory=lambda: np.zeros(2))
     anchor_m: Float[ndarray, "2"] = dataclasses.field(default_factory=lambda: np.zeros(2))
     still_since_s: float = 0.0
+    heights_m: list[float] = dataclasses.field(default_factory=list)
+    measured_s: float = -np.inf
 
     def expect(self, now_s: float) -> None:
         """Where they should be now: on their way, slower and slower while they are unseen."""
@@ -90,6 +102,17 @@ class Track:
         self.whole |= bottom_m < FEET_M and area_m2 > WHOLE_M2 and top_m - self.top_m < SETTLED_M
         if np.linalg.norm(place_m - self.anchor_m) > STILL_M:
             self.anchor_m, self.still_since_s = place_m.copy(), now_s
+
+    def measure(self, top_m: float, now_s: float) -> None:
+        """Take a height that is known to be that of the head."""
+        self.heights_m = [*self.heights_m[1 - HEIGHTS :], top_m]
+        self.measured_s = now_s
+
+    @property
+    def stature_m(self) -> float:
+        """How tall they are; NaN until it was measured for long enough. Who walks bobs, and who bends is less high, so
+        it is an upper quantile."""
+        return float(np.quantile(self.heights_m, 0.75)) if len(self.heights_m) >= LEAST_HEIGHTS else np.nan
 
     @property
     def went_m(self) -> float:
@@ -128,7 +151,7 @@ class Tracks:
 
     def __init__(self) -> None:
         self.alive: list[Track] = []
-        self._away: list[tuple[int, float, float]] = []  # number, height, when last seen
+        self._away: list[tuple[int, float, float]] = []  # number, stature, when last seen
         self._numbers = 0
 
     def expect(self, now_s: float) -> list[Float[ndarray, "2"]]:
@@ -194,6 +217,7 @@ class Tracks:
         blobs: Blobs,
         divided: dict[int, Part],
         learning: bool,
+        overlooked: Callable[[Float[ndarray, "2"], float], bool],
         now_s: float,
     ) -> None:
         """See, lose, end and begin tracks.
@@ -202,6 +226,7 @@ class Tracks:
             owner: from :meth:`assign`; new tracks are written into it.
             divided: of tracks in shared blobs, by label.
             learning: no camera knows its background yet.
+            overlooked: whether what is over a place at a height is in view.
         """
         for track in self.alive:
             own = np.flatnonzero(owner == track.label)
@@ -216,12 +241,14 @@ class Tracks:
                 track.alone_s += now_s - track.seen_s
                 top, bottom = float(blobs.tops_m[own].max()), float(blobs.bottoms_m[own].min())
                 track.see(centre, top, bottom, float(areas.sum()), now_s)
+                if now_s - track.measured_s >= MEASURE_S and overlooked(centre, top + OVER_M):
+                    track.measure(top, now_s)
             track.settle(now_s)
         self._end_twins(divided)
         for track in [track for track in self.alive if now_s - track.seen_s > GONE_S]:
             self.alive.remove(track)
             if track.number:
-                self._away.append((track.number, track.top_m, track.seen_s))
+                self._away.append((track.number, track.stature_m, track.seen_s))
         self._away = [each for each in self._away if now_s - each[2] < AWAY_S]
         for blob in np.flatnonzero(owner == 0).tolist():
             if _is_body(blobs, blob):
@@ -263,16 +290,22 @@ class Tracks:
         near = [each for each in self.alive if each.number and np.linalg.norm(each.place_m - track.place_m) < NEAR_M]
         if near and track.alone_s < ALONE_S:
             return
-        if self._away and not track.whole and age_s < RECOGNISE_S:
+        if self._away and np.isnan(track.stature_m) and age_s < RECOGNISE_S:
             return
-        alike = [(abs(top - track.top_m), number) for number, top, _ in self._away]
-        difference, number = min(alike, default=(np.inf, 0))
-        if difference <= SAME_HEIGHT_M:
-            self._away = [each for each in self._away if each[0] != number]
-        else:
+        track.number = self._returned(track.stature_m)
+        if not track.number:
             self._numbers += 1
-            number = self._numbers
-        track.number = number
+            track.number = self._numbers
+
+    def _returned(self, stature_m: float) -> int:
+        """The number of the one who is away and as tall, who is not away any more then; 0 where nobody is for sure."""
+        alike = sorted((abs(away_m - stature_m), number) for number, away_m, _ in self._away if not np.isnan(away_m))
+        if not alike or not alike[0][0] <= SAME_HEIGHT_M:  # NaN is not
+            return 0
+        if len(alike) > 1 and alike[1][0] - alike[0][0] < CLEARLY_M:
+            return 0
+        self._away = [each for each in self._away if each[0] != alike[0][1]]
+        return alike[0][1]
 
 
 def _is_body(blobs: Blobs, blob: int) -> bool:
