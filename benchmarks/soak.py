@@ -1,60 +1,145 @@
-"""Simulated cameras with everything that goes wrong, in real time through the whole pipeline: does it last?
+"""Four simulated cameras in real time through the whole pipeline, recorded meanwhile: how fast, how late, what is lost,
+and does it last?
 
-    python benchmarks/soak.py --minutes 30 --out soak.json
+    python benchmarks/soak.py --minutes 30 --json soak.json              # with everything that goes wrong with cameras
+    python benchmarks/soak.py --minutes 10 --no-faults --json live.json  # perfect cameras: rate, latency, losses
 
-It prints poses a second, latency, dropped sets, and the memory at the end against that after the warm-up. The cameras
-and what they see are a recording's, the packaged one's by default, played forwards and backwards.
+The cameras are Kinects of 512×424 around a moving person in a furnished room, generated (extra ``train``) and played
+forwards and backwards; or those of a recording.
 """
 
 from __future__ import annotations
 
+import collections
 import dataclasses
-import importlib.resources
 import json
 import resource
+import tempfile
+import threading
 import time
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import tyro
+from rich.console import Console
+from rich.table import Table
 
+from depthmocap.capture.mcap_recording import McapRecording
+from depthmocap.capture.mcap_writer import McapWriter
 from depthmocap.capture.open import open_recording
 from depthmocap.capture.simulator import Faults, RecordedScene, SimulatedCamera, Simulation
+from depthmocap.capture.source import DepthFrame
 from depthmocap.capture.sync import SyncSettings
-from depthmocap.geometry import Rig
+from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.offline import load_pipeline
-from depthmocap.online.live import LiveCapture, warm
+from depthmocap.online.live import EmptyScenes, LiveCapture, warm
+from depthmocap.online.recorder import McapRecorder
+from depthmocap.pipeline import Pipeline
 
-WARM_UP_S = 60.0
+#: Memory counts from here on (or from half of a shorter run), and is looked at so often.
+WARM_UP_S, LOOK_S = 60.0, 5.0
+#: A recording goes on in a new file after so many frames, and the file before is deleted: 30 minutes would need 40 GB.
+FRAMES_A_FILE = 8_000
+#: Goals: sets a second, as a share of the cameras' rate; latency; raw bytes by bytes of the file; growth.
+SHARE_GOAL, P95_GOAL_MS, RATIO_GOAL, GROWTH_GOAL_MB_MIN = 0.995, 80.0, 2.5, 0.1
+KINDS = ("frozen", "garbage", "dark", "stuck", "unplugged", "jumps")
 
 
 @dataclasses.dataclass(frozen=True)
 class SoakSettings:
-    """A long run with faults.
+    """A long run.
 
     Attributes:
-        recording: what the cameras see; the packaged recording by default.
-        out: file for the numbers.
+        recording: what the cameras see; by default it is generated.
+        scene_seconds: so much of it is generated, and held in memory.
         rate_hz: of the cameras.
         faults: without, the cameras are perfect.
+        record: record meanwhile, to a folder that is deleted at the end.
+        folder: where that is made; by default where the system keeps such.
+        json: file for all numbers.
     """
 
     minutes: float = 30.0
     recording: Path | None = None
-    out: Path | None = None
+    scene_seconds: float = 3.0
     rate_hz: float = 30.0
     faults: bool = True
+    record: bool = True
+    folder: Path | None = None
+    json: Path | None = None
 
 
 def faults_of(index: int, seconds: float) -> Faults:
-    """A camera's own troubles, one a minute, at times that differ between cameras."""
-    starts = [60.0 * i + 12.0 * index + 8.0 for i in range(int(seconds / 60) + 1)]
-    kinds = [[(at, at + 4.0) for at in starts[k::5]] for k in range(5)]
-    frozen, garbage, dark, stuck, unplugged = (tuple(kind) for kind in kinds)
+    """A camera's own troubles: all the time some loss, delay, jitter, disorder and drift; and in turns one of ``KINDS``
+    for some seconds of every minute, or more often in a short run, so that each comes at least once."""
+    every_s = min(60.0, seconds / (len(KINDS) + 1))
+    stretches: dict[str, list[tuple[float, float]]] = {kind: [] for kind in KINDS}
+    for turn in range(int(seconds / every_s)):
+        begin_s = every_s * (turn + 0.25 + 0.1 * index)
+        lasts_s = min(4.0, every_s / 3)
+        kind = KINDS[(turn + index) % len(KINDS)]
+        back = len(stretches["jumps"]) % 2
+        stretches[kind].append((begin_s, -3.0 if back else 3.0) if kind == "jumps" else (begin_s, begin_s + lasts_s))
     return Faults(
-        offset_s=1000.0 * index, drift_ppm=(200.0, -200.0, 50.0, 0.0)[index % 4], delay_ms=5.0, jitter_ms=5.0,
-        jumps=tuple((at + 30.0, 3.0) for at in starts[::7]), loss=0.02, duplicate=0.01, reorder=0.01,
-        frozen=frozen, garbage=garbage, dark=dark, stuck=stuck, unplugged=unplugged,
+        1000.0 * (index + 1), (200.0, -200.0, 50.0, 0.0)[index % 4], delay_ms=5.0 + 3 * (index % 4), jitter_ms=5.0,
+        loss=0.02, duplicate=0.01, reorder=0.01, frozen=tuple(stretches["frozen"]), dark=tuple(stretches["dark"]),
+        garbage=tuple(stretches["garbage"]), stuck=tuple(stretches["stuck"]), jumps=tuple(stretches["jumps"]),
+        unplugged=tuple(stretches["unplugged"]),
     )  # fmt: skip
+
+
+class RollingRecorder:
+    """Records every frame, in files of which the last two are kept.
+
+    Attributes:
+        offered: frames that were to be recorded, by camera.
+        written: those that were.
+        raw_bytes, file_bytes: of files that are closed.
+    """
+
+    def __init__(self, folder: Path, rig: Rig) -> None:
+        self.offered, self.written = collections.Counter[str](), collections.Counter[str]()
+        self.raw_bytes = self.file_bytes = 0
+        self._folder, self._rig, self._lock = folder, rig, threading.Lock()
+        self._cameras: dict[str, DepthCamera] = {camera.name: camera for camera in rig.cameras}
+        #: The one in use last. Others may still be writing to the one before, but not to any that came before it.
+        self._files: list[tuple[McapWriter, McapRecorder]] = []
+        self._made = 0
+        self._begin()
+
+    def write(self, frame: DepthFrame) -> None:
+        """Add a frame, from any thread."""
+        with self._lock:
+            self.offered[frame.camera] += 1
+            if self.offered.total() >= FRAMES_A_FILE * self._made:
+                self._begin()
+            recorder = self._files[-1][1]
+        recorder.write(frame)
+
+    def close(self) -> McapRecording:
+        """Finish; gives the last recording, to look at."""
+        while len(self._files) > 1:
+            self._finish()
+        last = self._files[0][0]
+        self._finish(delete=False)
+        return McapRecording(last.path)
+
+    def _begin(self) -> None:
+        self._made += 1
+        writer = McapWriter(self._folder / f"{self._made}.mcap", self._rig)
+        self._files.append((writer, McapRecorder(writer, self._cameras)))
+        if len(self._files) > 2:
+            self._finish()
+
+    def _finish(self, delete: bool = True) -> None:
+        writer, _ = self._files.pop(0)
+        writer.close()
+        self.written.update(writer.frames)
+        self.raw_bytes += sum(2 * c.width * c.height * writer.frames[c.name] for c in self._rig.cameras)
+        self.file_bytes += writer.path.stat().st_size
+        if delete:
+            writer.path.unlink()
 
 
 def _memory_mb() -> float:
@@ -66,43 +151,141 @@ def _memory_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def soak(settings: SoakSettings) -> dict[str, object]:
-    """Run and return the numbers."""
-    path = settings.recording or Path(str(importlib.resources.files("depthmocap") / "demo_recording"))
-    recording, seconds = open_recording(path), settings.minutes * 60
-    rig = Rig(tuple(camera for camera in recording.rig.cameras if recording.stamps(camera.name)), recording.up)
-    scene = RecordedScene(recording, rig, 1e9 / recording.period_ns)
-    pipeline = warm(load_pipeline(recording), recording[0])
+def prepare(settings: SoakSettings) -> tuple[RecordedScene, Pipeline]:
+    """What the cameras see, and the pipeline, warm. The empty scene is known."""
+    if settings.recording is not None:
+        source = open_recording(settings.recording)
+        rig = Rig(tuple(camera for camera in source.rig.cameras if source.stamps(camera.name)), source.up)
+        pipeline = warm(load_pipeline(source), source[0])
+        return RecordedScene(source, rig, 1e9 / source.period_ns), pipeline
+    from studio import Studio  # needs the extra train
+
+    studio = Studio(settings.scene_seconds, settings.rate_hz)
+    sets = list(studio)
+    pipeline = warm(load_pipeline(EmptyScenes(studio.rig, studio.backgrounds_m)), sets[0])
+    return RecordedScene(sets, studio.rig, settings.rate_hz), pipeline
+
+
+def soak(settings: SoakSettings, folder: Path, console: Console) -> dict[str, Any]:
+    """Run and return the numbers; recordings go to ``folder``."""
+    with console.status("making what the cameras see"):
+        scene, pipeline = prepare(settings)
+    rig, seconds = scene.rig, settings.minutes * 60
     faults = {name: faults_of(i, seconds) for i, name in enumerate(rig.names)} if settings.faults else {}
     simulation = Simulation(scene, settings.rate_hz, seconds, faults)
+    sent = {name: sum(1 for _ in simulation.camera_events(name)) for name in rig.names}
+    recorder = RollingRecorder(folder, rig) if settings.record else None
     zero_ns = time.monotonic_ns() + 500_000_000
     cameras = [SimulatedCamera(simulation, name, zero_ns) for name in rig.names]
     memory: list[tuple[float, float]] = []
-    begun = time.monotonic()
-    with LiveCapture(cameras, rig, pipeline, SyncSettings(settings.rate_hz), measure_rate=False) as capture:
+    capture = LiveCapture(cameras, rig, pipeline, SyncSettings(settings.rate_hz), measure_rate=False)
+    capture.gatherer.recorder = recorder
+    with console.status(f"running for {settings.minutes:g} minutes"), capture:
+        begun, cpu = time.monotonic(), time.process_time()
         for _ in capture:
             elapsed = time.monotonic() - begun
-            if not memory or elapsed - memory[-1][0] >= 10:
+            if not memory or elapsed - memory[-1][0] >= LOOK_S:
                 memory.append((elapsed, _memory_mb()))
+        elapsed, cpu = time.monotonic() - begun, time.process_time() - cpu
         statuses = capture.statuses()
-    elapsed = time.monotonic() - begun
-    after = [mb for at, mb in memory if at >= min(WARM_UP_S, elapsed / 2)]
-    return {
+    numbers: dict[str, Any] = {
+        "settings": {**dataclasses.asdict(settings), "recording": settings.recording and str(settings.recording)},
         "seconds": elapsed,
-        "poses_per_second": capture.books.poses / elapsed,
+        "cpu_cores": cpu / elapsed,
+        "sets_per_second": capture.books.poses / elapsed,
         "sets_dropped": capture.dropped,
+        "frames_overrun": capture.gatherer.overrun,
         **capture.books.summary(),
-        "memory_mb_after_warm_up": after[0] if after else None,
-        "memory_mb_at_the_end": after[-1] if after else None,
+        "memory": _growth(memory),
+        "frames_sent": sent,
         "cameras": {status.name: dataclasses.asdict(status) for status in statuses},
-        "problems": list(capture.problems),
+        "problems": dict(capture.problems),
+        "faults": {name: dataclasses.asdict(each) for name, each in faults.items()},
+    }
+    numbers["settings"] |= {key: str(value) for key, value in numbers["settings"].items() if isinstance(value, Path)}
+    if recorder is not None:
+        numbers["recording"] = _recorded(recorder)
+    return numbers
+
+
+def _recorded(recorder: RollingRecorder) -> dict[str, Any]:
+    last = recorder.close()
+    return {
+        "offered": dict(recorder.offered),
+        "written": dict(recorder.written),
+        "lost": recorder.offered.total() - recorder.written.total(),
+        "ratio": recorder.raw_bytes / recorder.file_bytes,
+        "last_file_complete": last.complete and not last.problems,
     }
 
 
+def _growth(memory: list[tuple[float, float]]) -> dict[str, Any]:
+    """Resident memory after the warm-up, and the slope of a line through it."""
+    warm_s = min(WARM_UP_S, memory[-1][0] / 2)
+    at_s, mb = np.array([look for look in memory if look[0] >= warm_s]).T
+    slope = np.polyfit(at_s / 60, mb, 1)[0] if len(at_s) > 2 else float("nan")
+    return {
+        "mb_after_warm_up": float(mb[0]), "mb_at_the_end": float(mb[-1]), "mb_most": float(mb.max()),
+        "mb_a_minute": float(slope), "mb": [[round(s, 1), round(m, 1)] for s, m in memory],
+    }  # fmt: skip
+
+
+def tables(numbers: dict[str, Any]) -> list[Table]:
+    """The run, and each camera."""
+    run = Table(title=f"{numbers['seconds']:.0f} s, {numbers['cpu_cores']:.2f} cores", title_justify="left")
+    for column in ("what", "measured", "goal"):
+        run.add_column(column, justify="left" if column == "what" else "right")
+
+    def row(what: str, measured: str, goal: str = "", met: bool = True) -> None:
+        run.add_row(what, measured, goal and f"[{'green' if met else 'red'}]{goal} {'met' if met else 'missed'}")
+
+    rate, memory = numbers["settings"]["rate_hz"], numbers["memory"]
+    latency, skew = numbers["latency_ms"], numbers["skew_ms"]
+    per_second, growth = numbers["sets_per_second"], memory["mb_a_minute"]
+    row("sets a second", f"{per_second:.2f}", f"≥ {SHARE_GOAL * rate:.2f}", per_second >= SHARE_GOAL * rate)
+    row("sets dropped; frames overrun", f"{numbers['sets_dropped']}; {numbers['frames_overrun']}")
+    row("latency from the last frame's arrival, p50", f"{latency['p50']:.1f} ms")
+    row("… p95", f"{latency['p95']:.1f} ms", f"≤ {P95_GOAL_MS:g}", latency["p95"] <= P95_GOAL_MS)
+    row("skew of a set, p50; p95", f"{skew['p50']:.1f}; {skew['p95']:.1f} ms")
+    row("sets with somebody", f"{numbers['poses_with_somebody'] / max(numbers['poses'], 1):.1%}")
+    row("memory after the warm-up; at the end", f"{memory['mb_after_warm_up']:.0f}; {memory['mb_at_the_end']:.0f} MB")
+    row("… growth", f"{growth:+.2f} MB a minute", f"≤ {GROWTH_GOAL_MB_MIN:g}", growth <= GROWTH_GOAL_MB_MIN)
+    if recording := numbers.get("recording"):
+        row("frames not recorded", str(recording["lost"]), "0", recording["lost"] == 0)
+        row("compression", f"{recording['ratio']:.2f}:1", f"≥ {RATIO_GOAL:g}", recording["ratio"] >= RATIO_GOAL)
+        row("last file whole", "yes" if recording["last_file_complete"] else "NO")
+    each = Table(title="frames by camera", title_justify="left")
+    columns = ("sent", "read", "used", "missing", "late", "duplicates", "reordered", "unsure")
+    ailments = ("frozen", "noise", "dark", "clock", "size")
+    more = ("outages", "clock jumps", "opened in vain", "drift ppm")
+    for column in ("camera", *columns, *ailments, *more):
+        each.add_column(column, justify="left" if column == "camera" else "right")
+    for name, status in numbers["cameras"].items():
+        counts = status["counts"]
+        ill = [counts.get(ailment, 0) for ailment in ailments]
+        counts |= {"sent": numbers["frames_sent"][name], "read": counts["frames"] + sum(ill)}
+        each.add_row(
+            name, *(str(counts[column]) for column in columns), *map(str, ill), str(counts.get("outages", 0)),
+            str(status["clock_restarts"]), str(status["opened_in_vain"]), f"{status['drift_ppm']:.1f}",
+        )  # fmt: skip
+    return [run, each]
+
+
+def main(settings: SoakSettings) -> None:
+    """Run, print and write."""
+    console = Console()
+    if not console.is_terminal:  # a file or a log has no width of its own
+        console = Console(width=170)
+    with tempfile.TemporaryDirectory(dir=settings.folder) as folder:
+        numbers = soak(settings, Path(folder), console)
+    for table in tables(numbers):
+        console.print(table)
+    for problem, times in numbers["problems"].items():
+        console.print(f"• {problem} ({times} times)", markup=False, highlight=False)
+    if settings.json is not None:
+        settings.json.parent.mkdir(parents=True, exist_ok=True)
+        settings.json.write_text(json.dumps(numbers, indent=1) + "\n")
+
+
 if __name__ == "__main__":
-    chosen = tyro.cli(SoakSettings)
-    numbers = soak(chosen)
-    text = json.dumps(numbers, indent=1)
-    if chosen.out is not None:
-        chosen.out.write_text(text + "\n")
-    print(text)
+    main(tyro.cli(SoakSettings))

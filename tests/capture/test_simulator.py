@@ -45,6 +45,13 @@ def test_clock_drifts_and_jumps():
     np.testing.assert_allclose(ahead, 3.0 + 200e-6 * exposure - (exposure >= 5.0), atol=1e-8)
 
 
+def test_a_camera_that_was_unplugged_knows_nothing_of_jumps_before():
+    found = events(Faults(jumps=((2.0, 5.0), (8.0, -1.0)), unplugged=((4.0, 6.0),)))
+    exposure = np.array([e.exposure_ns - 1_000_000_000 for e in found]) * 1e-9
+    expected = exposure + 5.0 * (exposure >= 2.0) - (exposure >= 6.0) * 11.0 - 1.0 * (exposure >= 8.0)
+    np.testing.assert_allclose([e.timestamp_ns * 1e-9 for e in found], expected, atol=1e-8)
+
+
 def test_reordered_frames_follow_their_successor():
     found = events(Faults(reorder=0.1))
     steps = np.diff([e.timestamp_ns for e in found])

@@ -12,7 +12,6 @@ pytest.importorskip("foxglove")
 from depthmocap.capture.mcap_recording import McapRecording
 from depthmocap.capture.mcap_writer import McapWriter
 from depthmocap.capture.simulator import SimulatedCamera, Simulation
-from depthmocap.capture.source import DepthFrame
 from depthmocap.capture.sync import SyncSettings
 from depthmocap.errors import InputError
 from depthmocap.geometry import Rig
@@ -52,14 +51,26 @@ def test_a_camera_that_comes_later_is_in_the_recording(tmp_path, virtual):
     np.testing.assert_array_equal(recording.raw("cam1", stamp), scene.depth("cam1", time_s))
 
 
-def test_a_frame_of_another_size_does_not_end_the_recording(tmp_path):
+def test_frames_that_cannot_be_recorded_do_not_end_the_recording(tmp_path, virtual):
+    class Odd(SimulatedCamera):
+        """Its first frames are of a time before its clock began, the next ones too small."""
+
+        def _read(self, timeout_s):
+            frame = super()._read(timeout_s)
+            if frame is None or frame.timestamp_ns >= 500_000_000:
+                return frame
+            if frame.timestamp_ns < 250_000_000:
+                return dataclasses.replace(frame, timestamp_ns=frame.timestamp_ns - 10**9)
+            return dataclasses.replace(frame, raw=frame.raw[:-2])
+
     scene = Board(1)
-    good = DepthFrame("cam0", scene.depth("cam0", 0.0), 10**9, "device", 10**9)
-    bad = dataclasses.replace(good, raw=good.raw[:-2], timestamp_ns=2 * 10**9)
+    source = Odd(Simulation(scene, 20.0, 1.0), "cam0", virtual.monotonic_ns())
+    capture = LiveCapture([source], None, fake_pipeline(), SyncSettings(20.0), False)
     with McapWriter(tmp_path / "take.mcap", scene.rig) as writer:
-        recorder = McapRecorder(writer, {"cam0": scene.rig["cam0"]})
-        for frame in (good, bad, dataclasses.replace(good, timestamp_ns=3 * 10**9)):
-            recorder.write(frame)
+        capture.gatherer.recorder = McapRecorder(writer, capture.gatherer.cameras)
+        with capture:
+            assert len(list(capture)) > 5
         with pytest.raises(InputError, match="has a camera 'cam0' already"):
             writer.add_camera(scene.rig["cam0"])
-        assert writer.frames == {"cam0": 2}
+    assert writer.frames == {"cam0": 10}
+    assert capture.problems["camera 'cam0': a frame of another size, or of an impossible time, is not recorded"] == 10

@@ -32,7 +32,7 @@ from scipy.spatial.transform import Rotation
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.capture.depth_codec import CODINGS, Coding, encode_depth
-from depthmocap.capture.recording import check_frame
+from depthmocap.capture.recording import UnfitFrameError, check_frame
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.geometry import DepthCamera, Rig
 
@@ -185,10 +185,12 @@ class Topics:
         """Foxglove's form of a time.
 
         Raises:
-            InputError: when it does not fit.
+            UnfitFrameError: when it does not fit.
         """
         if not 0 <= timestamp_ns < _LATEST_NS:
-            raise InputError(f"timestamp_ns must be from 0 to {_LATEST_NS - 1} (the year 2106), got {timestamp_ns}")
+            raise UnfitFrameError(
+                f"timestamp_ns must be from 0 to {_LATEST_NS - 1} (the year 2106), got {timestamp_ns}"
+            )
         return self._sdk.messages.Timestamp(*divmod(timestamp_ns, 10**9))
 
     def describe(self, timestamp_ns: int) -> None:
@@ -320,7 +322,8 @@ class McapWriter:
             clock: its name; cameras with equal names share one.
 
         Raises:
-            InputError: when it does not fit the rig, or the file cannot be written any further.
+            UnfitFrameError: when it is not of the rig, or of a time that the file cannot tell.
+            InputError: when the file cannot be written any further.
         """
         check_frame(self.path, self.rig, name, raw)
         image = self._topics.image(name, timestamp_ns, raw)  # the costly part needs no lock

@@ -18,6 +18,7 @@ from depthmocap.capture.cameras import make_sources
 from depthmocap.capture.depth_codec import Coding
 from depthmocap.capture.mcap_writer import SHARED_CLOCK, McapWriter
 from depthmocap.capture.recorded import Pace
+from depthmocap.capture.recording import UnfitFrameError
 from depthmocap.capture.source import CameraError, DepthSource, NoFrame, place, unsourced
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, load_rig
@@ -134,6 +135,9 @@ def _record(sources: list[DepthSource], writer: McapWriter, seconds: float | Non
             arrival_ns = frame.timestamp_ns if shared else frame.arrival_ns + day_ns
             try:
                 writer.write(frame.camera, frame.timestamp_ns, frame.raw, arrival_ns, frame.clock)
+            except UnfitFrameError:
+                count.lost += 1
+                continue
             except InputError as error:
                 fault.append(error)
                 stop.set()

@@ -65,17 +65,21 @@ def read_depth_png(path: Path, camera: DepthCamera) -> UInt16[ndarray, "h w"]:
     return raw
 
 
+class UnfitFrameError(InputError):
+    """A frame cannot be in a recording; others can."""
+
+
 def check_frame(path: Path, rig: Rig, name: str, raw: UInt16[ndarray, "h w"]) -> None:
     """See that a frame can be written to the recording ``path``.
 
     Raises:
-        InputError: when it is of no camera of the rig, or not of its size, or not 16 bit.
+        UnfitFrameError: when it is of no camera of the rig, or not of its size, or not 16 bit.
     """
     if name not in rig.names:
-        raise InputError(f"{path}: no camera {name!r} in the rig, which has {', '.join(rig.names)}")
+        raise UnfitFrameError(f"{path}: no camera {name!r} in the rig, which has {', '.join(rig.names)}")
     camera = rig[name]
     if raw.dtype != np.uint16 or raw.shape != (camera.height, camera.width):
-        raise InputError(
+        raise UnfitFrameError(
             f"{path}: a frame of {name!r} must be uint16 of {camera.height} rows and {camera.width} columns, "
             f"got {raw.dtype} {raw.shape}"
         )

@@ -207,11 +207,12 @@ def _device_time(exposure_s: Float[ndarray, " n"], faults: Faults) -> Float[ndar
     """The camera's own clock at each exposure, seconds."""
     rate = 1 + faults.drift_ppm * 1e-6
     device_s = exposure_s * rate + faults.offset_s
-    for at_s, by_s in faults.jumps:
-        device_s[exposure_s >= at_s] += by_s
     for _, back_s in faults.unplugged:
         again = exposure_s >= back_s
         device_s[again] = (exposure_s[again] - back_s) * rate
+    for at_s, by_s in faults.jumps:
+        until_s = min((back_s for _, back_s in faults.unplugged if back_s > at_s), default=np.inf)
+        device_s[(exposure_s >= at_s) & (exposure_s < until_s)] += by_s
     return device_s
 
 

@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import Protocol, runtime_checkable
 
+from depthmocap.capture.recording import UnfitFrameError
 from depthmocap.capture.source import DepthFrame, DepthSource, MisfitError, NoFrame, place, unsourced
 from depthmocap.capture.stamps import frame_period_ns
 from depthmocap.capture.sync import SyncedSet, SyncSettings
@@ -311,6 +312,10 @@ class _Reader:
             return
         try:
             recorder.write(frame)
+        except UnfitFrameError:
+            self._gatherer.note(
+                f"camera {frame.camera!r}: a frame of another size, or of an impossible time, is not recorded"
+            )
         except InputError as error:  # a full disk does not end the motion capture
             self._gatherer.recorder = None
             self._gatherer.note(str(error))

@@ -19,15 +19,13 @@ class McapRecorder:
         self._day_ns = time.time_ns() - time.monotonic_ns()
 
     def write(self, frame: DepthFrame) -> None:
-        """Add a frame, from any thread. One of another size than its camera's is left out: it has no calibration.
+        """Add a frame, from any thread.
 
         Raises:
+            UnfitFrameError: when it is not of its camera's size, or of a time that the file cannot tell.
             InputError: when the file cannot be written any further.
         """
-        camera = self._cameras[frame.camera]
-        if frame.raw.shape != (camera.height, camera.width):
-            return
         if frame.camera not in self._writer.rig.names:
-            self._writer.add_camera(camera)
+            self._writer.add_camera(self._cameras[frame.camera])
         arrival_ns = frame.timestamp_ns if frame.clock == SHARED_CLOCK else frame.arrival_ns + self._day_ns
         self._writer.write(frame.camera, frame.timestamp_ns, frame.raw, arrival_ns, frame.clock)
