@@ -1,14 +1,18 @@
 """The Orbbec back end against a fake of the SDK's interface, whose names are those of its package."""
 
 import types
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from depthmocap.capture import orbbec
+from depthmocap.capture.cameras import make_sources
+from depthmocap.capture.open import open_recording
 from depthmocap.capture.orbbec import OrbbecCamera, find
 from depthmocap.capture.source import CameraError, NoFrame
+from depthmocap.errors import InputError
 
 WIDTH, HEIGHT = 640, 576
 
@@ -143,12 +147,26 @@ class Fake:
     last: "Fake"
 
 
+class Bag:
+    """What a bag file holds."""
+
+    def __init__(self, path: str) -> None:
+        if Path(path).read_bytes() != b"#ROSBAG V2.0":
+            raise RuntimeError("Error reading version line")
+
+    def get_device_info(self) -> Any:
+        return types.SimpleNamespace(get_serial_number=lambda: "seven")
+
+    def get_playback_status(self) -> int:
+        return 3 if Fake.last.number >= 2 * Fake.count else 1
+
+
 @pytest.fixture
 def sdk(monkeypatch: pytest.MonkeyPatch) -> Any:
     names = types.SimpleNamespace
     fake = names(
         Context=Fake, Pipeline=Fake, Config=Fake, OBError=FakeError, OBSensorType=names(DEPTH_SENSOR="depth"),
-        OBFormat=names(Y16="Y16", Z16="Z16"),
+        OBFormat=names(Y16="Y16", Z16="Z16"), PlaybackDevice=Bag, OBPlaybackStatus=names(PLAYING=1, STOPPED=3),
         OBLogLevel=names(NONE="none"),
     )  # fmt: skip
     monkeypatch.setitem(__import__("sys").modules, "pyorbbecsdk", fake)
@@ -228,3 +246,25 @@ def test_what_is_wrong_is_told(sdk: Any, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(Fake, "serials", ())
     with pytest.raises(CameraError, match="no Orbbec camera is connected"):
         OrbbecCamera("left").__enter__()
+
+
+def test_a_bag_file_is_a_camera_that_ends(sdk: Any, tmp_path: Path) -> None:
+    path = tmp_path / "Take 1.BAG"
+    path.write_bytes(b"#ROSBAG V2.0")
+    (source,) = make_sources([f"orbbec:{path}"])
+    assert source.name == "orbbec-Take-1"
+    with source:
+        assert isinstance(Fake.last.device, Bag)
+        assert source.camera.fx == 504.0
+        frames = [source.read(0.05) for _ in range(Fake.count + 1)]
+    assert [frame and (frame.number, frame.clock) for frame in frames] == [
+        (1, "orbbec seven device"), (2, "orbbec seven device"), (3, "orbbec seven device"), None
+    ]  # fmt: skip
+    path.write_bytes(b"something else")
+    with pytest.raises(CameraError, match=r"Take 1.BAG is no bag file of an Orbbec camera \(Error reading"):
+        source.__enter__()
+    path.unlink()
+    with pytest.raises(CameraError, match=r"Take 1.BAG does not exist"):
+        source.__enter__()
+    with pytest.raises(InputError, match=r"as in depthmocap record orbbec:.*Take 1.BAG"):
+        open_recording(path)

@@ -27,7 +27,7 @@ BACK_ENDS = {
 }
 SYNTHETIC = "synthetic"
 #: Recordings of SDKs that are given like cameras.
-_FILES = (".oni",)
+_FILES = (".oni", ".bag")
 
 
 def make_sources(specs: Sequence[str], pace: Pace | None = None) -> list[DepthSource]:

@@ -10,6 +10,8 @@ from depthmocap.capture.recording import Recording
 from depthmocap.errors import InputError
 
 _FILES: dict[str, type[Recording]] = {".mcap": McapRecording, ".mkv": MkvRecording}
+#: Files that are played like cameras, by back ends.
+_BY_SDK = {".oni": "openni", ".bag": "orbbec"}
 
 
 def open_recording(path: Path) -> Recording:
@@ -18,8 +20,9 @@ def open_recording(path: Path) -> Recording:
     Raises:
         InputError: when it is none.
     """
-    if path.suffix.lower() == ".oni":
+    if back_end := _BY_SDK.get(path.suffix.lower()):
         raise InputError(
-            f"{path} is read by OpenNI: name it as a camera, as in depthmocap record openni:{path} --out take.mcap"
+            f"{path} is read by its camera's SDK: name it as a camera, as in "
+            f"depthmocap record {back_end}:{path} --out take.mcap"
         )
     return _FILES.get(path.suffix.lower(), Recording)(path)

@@ -1,4 +1,4 @@
-"""Orbbec cameras (Femto, Gemini, Astra) through ``pyorbbecsdk2``.
+"""Orbbec cameras (Femto, Gemini, Astra), and the bag files that their SDK's viewer records, through ``pyorbbecsdk2``.
 
 Written from the SDK's documentation and the signatures of its package; untested on hardware. Timestamps are by the
 camera's own clock.
@@ -7,6 +7,7 @@ camera's own clock.
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,13 +20,19 @@ from depthmocap.geometry import DepthCamera
 MAKE = Make("orbbec", "Orbbec camera", "pyorbbecsdk2", "pyorbbecsdk", lambda usb: usb.vendor == 0x2BC5)
 #: A camera's first frame tells the depth scale; it may take so long.
 _FIRST_S = 5.0
+BAG = ".bag"
 #: The SDK's names of the lens models that ``five_coefficients`` covers.
 _LENSES = ("NONE", "BROWN_CONRADY", "BROWN_CONRADY_K6")
 
 
+def _quiet(sdk: Any) -> None:
+    """The SDK would write a folder Log where the user happens to be."""
+    sdk.Context.set_logger_to_file(sdk.OBLogLevel.NONE, "")
+
+
 def _devices(sdk: Any) -> tuple[Any, list[str]]:
     """The SDK's list of devices, and their serial numbers."""
-    sdk.Context.set_logger_to_file(sdk.OBLogLevel.NONE, "")  # it would write a folder Log where the user happens to be
+    _quiet(sdk)
     devices = sdk.Context().query_devices()
     return devices, [devices.get_device_serial_number_by_index(index) for index in range(devices.get_count())]
 
@@ -37,24 +44,23 @@ def find() -> list[FoundCamera]:
 
 
 def make(name: str, address: str) -> DepthSource:
-    """The camera with this serial number, or the first."""
+    """The camera with this serial number, or the first; or a bag file."""
     return OrbbecCamera(name, address)
 
 
 class OrbbecCamera(DepthSource):
-    """One camera's depth, at the 16-bit mode nearest to the wanted size and rate."""
+    """One camera's depth, at the 16-bit mode nearest to the wanted size and rate. A file plays at its own speed."""
 
-    def __init__(self, name: str, serial: str = "") -> None:
+    def __init__(self, name: str, address: str = "") -> None:
         super().__init__(name)
-        self._serial = serial
+        self._file = Path(address) if address.lower().endswith(BAG) else None
+        self._serial = "" if self._file else address
 
     def _open(self) -> DepthCamera:
         sdk = self._sdk = MAKE.load()
-        devices, serials = _devices(sdk)
-        index = MAKE.choose(serials, self._serial)
-        self._serial = serials[index]
+        device = self._device = self._play(self._file) if self._file else self._connected()
         try:
-            self._pipeline = sdk.Pipeline(devices.get_device_by_index(index))
+            self._pipeline = sdk.Pipeline(device)
             profile = self._mode(self._pipeline.get_stream_profile_list(sdk.OBSensorType.DEPTH_SENSOR))
             config = sdk.Config()
             config.enable_stream(profile)
@@ -69,6 +75,27 @@ class OrbbecCamera(DepthSource):
             raise
         self._waiting: Any = first
         return camera
+
+    def _connected(self) -> Any:
+        devices, serials = _devices(self._sdk)
+        index = MAKE.choose(serials, self._serial)
+        self._serial = serials[index]
+        return devices.get_device_by_index(index)
+
+    def _play(self, file: Path) -> Any:
+        if not file.is_file():
+            raise CameraError(f"{file} does not exist")
+        _quiet(self._sdk)
+        try:
+            device = self._sdk.PlaybackDevice(str(file))
+            self._serial = device.get_device_info().get_serial_number()
+        except (self._sdk.OBError, RuntimeError) as error:
+            raise CameraError(f"{file} is no bag file of an Orbbec camera ({error})") from None
+        return device
+
+    def _over(self) -> bool:
+        """Whether a file was played to its end."""
+        return self._file is not None and self._device.get_playback_status() == self._sdk.OBPlaybackStatus.STOPPED
 
     def _mode(self, profiles: Any) -> Any:
         formats = (self._sdk.OBFormat.Y16, self._sdk.OBFormat.Z16)
@@ -103,7 +130,13 @@ class OrbbecCamera(DepthSource):
         raise NoFrame(f"camera {self.name!r} gave no frame for {timeout_s:.1f} s: is it still connected?")
 
     def _read(self, timeout_s: float) -> DepthFrame | None:
-        frame, self._waiting = self._waiting or self._frame(timeout_s), None
+        over = self._over()  # before it is known that nothing waits
+        try:
+            frame, self._waiting = self._waiting or self._frame(timeout_s), None
+        except NoFrame:
+            if over:
+                return None
+            raise
         arrival_ns = time.monotonic_ns()
         size = frame.get_height(), frame.get_width()
         raw = np.array(frame.get_data()).view(np.uint16).reshape(size)  # a copy: the SDK reuses its buffers
