@@ -144,6 +144,18 @@ def test_without_a_background_somebody_is_found_at_once_and_the_room_is_learnt(s
     assert overlap(people[0].masks, masks[0]) > 0.8
 
 
+def test_one_who_stands_at_furniture_when_it_begins_is_found_and_the_furniture_is_nobody(scene):
+    sideboard = (Box((-0.9, 0.3, 0.0), (0.9, 0.8, 0.85)), Box((0.6, 0.4, 0.85), (0.8, 0.6, 1.0)))
+    segment, empty = PeopleSegmenter({}, people=3), PeopleSegmenter({}, people=3)
+    for i in range(40):
+        frames, masks = scene.look(i, body(0.0, 0.15), things=sideboard)
+        people = segment(frames)
+        if i > 4:
+            assert [person.number for person in people] == [1]
+        assert empty(scene.look(i, things=sideboard)[0]) == ()
+    assert overlap(people[0].masks, masks[0]) > 0.75
+
+
 def test_a_chair_is_nobody_and_becomes_background(scene):
     segment = PeopleSegmenter(scene.backgrounds, people=2)
     chair = (Box((0.8, -0.9, 0.0), (1.25, -0.45, 0.9)),)

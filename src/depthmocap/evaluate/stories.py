@@ -24,7 +24,7 @@ _OUTSIDE = 0.6
 #: People alike in stature differ by at most this, others by at least that; and what they are between (metres).
 ALIKE_M, UNLIKE_M, STATURES_M = 0.015, 0.08, (1.5, 1.95)
 #: Visitors come no nearer to each other than this, from middle to middle (metres).
-_PASSING_M = 0.7
+_PASSING_M = 0.6
 #: Where somebody stands close to the chest, the table and between both (metres): x, y of their middle.
 _BESIDE = ((2.2, 1.05), (0.15, 1.82), (2.65, 1.68))
 
@@ -109,8 +109,8 @@ class Visits:
     pushed_s: tuple[float, float] | None = None
 
     #: From one coming to the next, and how long a visit takes with some time to spare (s).
-    _every_s = 3.5
-    _visit_s = 13.0
+    _every_s = 4.5
+    _visit_s = 10.0
 
     @property
     def seconds(self) -> float:

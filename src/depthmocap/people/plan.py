@@ -29,6 +29,8 @@ LEAST_M2 = 0.0006
 FEWEST_TOGETHER = 3
 #: A stray pixel at a silhouette hangs at least this far behind one surface and before another.
 FLYING_M = 0.08
+#: What is longer than a body on a chair is furniture, with people beside it if it rises over this height (metres).
+SEATED_M, FURNITURE_M = 1.3, 1.05
 #: What is nearer to a camera than a place by this stands before it (metres): more than half a head.
 BEFORE_M = 0.2
 #: A blob begins and ends where this much surface is above and below (m²): less is noise.
@@ -130,26 +132,39 @@ class Plan:
         return Foreground(depth_m, pixels[:found], columns[:found], levels[:found], sure[:found], area_m2, trusted)
 
     def blobs(self, views: Sequence[Foreground]) -> Blobs:
-        """What hangs together in the foreground of all cameras; those not trusted count where no other is."""
-        nx, ny, nz = self.shape
-        if any(view.trusted for view in views):
+        """What hangs together in the foreground of all cameras; those not trusted count where no other is. Then the
+        furniture is foreground as well, and what rises over it is told from it."""
+        nx, _, nz = self.shape
+        learning = not any(view.trusted for view in views)
+        if not learning:
             views = [view for view in views if view.trusted]
-        area_m2 = np.zeros(ny * nx, np.float32)
-        for view in views:
-            add_area(view.depth_m, view.pixels, view.columns, view.pixel_m2, area_m2)
-        filled = (area_m2 > LEAST_M2).astype(np.uint8).reshape(ny, nx)
-        # Columns that touch when each is grown by one hang together: gaps of two are bridged.
-        grown = cv2.dilate(filled, np.ones((3, 3), np.uint8))
-        count, labels, boxes, _ = cv2.connectedComponentsWithStats(grown, connectivity=4)
+        filled = self._filled(views, LOWEST_M)
+        labels, sizes_m = _components(filled)
+        if learning:
+            long = np.append(False, sizes_m[:, 0] > SEATED_M)
+            high, high_sizes_m = _components(self._filled(views, FURNITURE_M) & long[labels])
+            high[np.append(False, high_sizes_m[:, 0] > SEATED_M)[high]] = 0  # walls and cupboards
+            labels, sizes_m = _components(filled & (high == 0))
+            labels = np.where(high > 0, high, np.where(labels > 0, labels + len(high_sizes_m), 0))
+            sizes_m = np.concatenate([high_sizes_m, sizes_m])
+        count = len(sizes_m) + 1
         sums, profiles = np.zeros((count, 3)), np.zeros((count, nz))
         flat = labels.ravel()
         for view in views:
             measure_blobs(view.depth_m, view.pixels, view.columns, view.levels, view.pixel_m2, flat, nx, sums, profiles)
         tops, bottoms = extents(profiles[1:])
         return Blobs(
-            labels, sums[1:, 0], sums[1:, 1:] / np.maximum(sums[1:, :1], 1e-12) * CELL_M,
-            np.sort((boxes[1:, 2:4] - 2) * CELL_M, axis=1)[:, ::-1], tops, bottoms,
+            labels, sums[1:, 0], sums[1:, 1:] / np.maximum(sums[1:, :1], 1e-12) * CELL_M, sizes_m, tops, bottoms
         )  # fmt: skip
+
+    def _filled(self, views: Sequence[Foreground], lowest_m: float) -> Bool[ndarray, "ny nx"]:
+        """Columns with surface in them higher than this."""
+        nx, ny, _ = self.shape
+        area_m2 = np.zeros(ny * nx, np.float32)
+        for view in views:
+            high = view.levels >= round((lowest_m - LOWEST_M) / CELL_M)
+            add_area(view.depth_m, view.pixels[high], view.columns[high], view.pixel_m2, area_m2)
+        return (area_m2 > LEAST_M2).reshape(ny, nx)
 
     def overlooked(self, views: Sequence[View], place_m: Float[ndarray, "2"], height_m: float) -> bool:
         """Whether two views at least (or the only one) show what is at a place and a height (metres), with nothing
@@ -171,6 +186,14 @@ class Plan:
         for place in places_m:
             near |= (x - place[0]) ** 2 + (y - place[1]) ** 2 < radius_m**2
         return near.ravel()
+
+
+def _components(filled: Bool[ndarray, "ny nx"]) -> tuple[Int[ndarray, "ny nx"], Float[ndarray, "b 2"]]:
+    """Labels of the columns that hang together, and the sides of their boxes, the longer first (metres)."""
+    # Columns that touch when each is grown by one hang together: gaps of two are bridged.
+    grown = cv2.dilate(filled.view(np.uint8), np.ones((3, 3), np.uint8))
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats(grown, connectivity=4)
+    return labels, np.sort((boxes[1:, 2:4] - 2) * CELL_M, axis=1)[:, ::-1]
 
 
 def extents(profiles: Float[ndarray, "b levels"]) -> tuple[Float[ndarray, " b"], Float[ndarray, " b"]]:

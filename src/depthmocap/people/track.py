@@ -18,7 +18,7 @@ LEAST_M2, LONGEST_M, HIGHEST_M, TALL_M = 0.05, 2.3, 2.4, 1.1
 #: What is not so tall is a person when it has gone this far (metres): chairs are pushed less far. While nobody has been
 #: seen yet, whatever shows so much surface (m²) and has stirred in its first second is one.
 WENT_M, STIRRING_M2, STIRRING_S = 1.0, 0.2, 1.0
-#: Tall things are people after this time where no background was known (s).
+#: Tall things are people after this time where no background was known (s), if they show as much surface.
 DOUBT_S = 0.25
 #: A person may be this far from where they are expected (metres), and that much further for each second unseen.
 GATE_M, GATE_MPS = 0.6, 1.0
@@ -280,7 +280,8 @@ class Tracks:
     def _recognise(self, track: Track, now_s: float) -> None:
         """Give a number to what has shown that it is a person."""
         age_s = now_s - track.born_s
-        tall = track.top_m >= TALL_M and age_s >= (DOUBT_S if track.doubted else 0)
+        certain = not track.doubted or (age_s >= DOUBT_S and track.area_m2 > STIRRING_M2)
+        tall = track.top_m >= TALL_M and certain
         stirs = (
             not self._numbers and track.area_m2 > STIRRING_M2 and age_s >= STIRRING_S
             and track.still_since_s > track.born_s
