@@ -281,7 +281,7 @@ def main(settings: SoakSettings) -> None:
     for table in tables(numbers):
         console.print(table)
     for problem, times in numbers["problems"].items():
-        console.print(f"• {problem} ({times} times)", markup=False, highlight=False)
+        console.print(f"• {problem}{f' ({times} times)' if times > 1 else ''}", markup=False, highlight=False)
     if settings.json is not None:
         settings.json.parent.mkdir(parents=True, exist_ok=True)
         settings.json.write_text(json.dumps(numbers, indent=1) + "\n")

@@ -90,6 +90,8 @@ def test_cameras_come_and_go_while_running(virtual):
                     capture.gatherer.add(second)
             if len(seen) == 40:
                 capture.gatherer.remove("cam1")
+                with pytest.raises(InputError, match="no camera 'cam1': there are cam0"):
+                    capture.gatherer.remove("cam1")
             if len(seen) == 55:
                 break
     assert set(seen[:10]) == {1}

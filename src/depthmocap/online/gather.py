@@ -99,7 +99,13 @@ class Gatherer:
             self._readers[source.name].start()
 
     def remove(self, name: str) -> None:
-        """Read a camera no more."""
+        """Read a camera no more.
+
+        Raises:
+            InputError: when there is none of this name.
+        """
+        if name not in self._readers:
+            raise InputError(f"there is no camera {name!r}: there are {', '.join(self._readers)}")
         self._readers.pop(name).stop()
         with self._changed:
             self._changes.append(name)
