@@ -126,6 +126,20 @@ def test_who_goes_is_known_again_by_their_height_and_others_are_not(scene):
     assert segment(scene.look(0)[0]) == ()
 
 
+@pytest.mark.parametrize(("heights", "number"), [((1.6, 1.75), 2), ((1.77, 1.775), 3)])
+def test_of_several_who_are_away_only_one_who_is_clearly_most_alike_is_taken(scene, heights, number):
+    segment = PeopleSegmenter(scene.backgrounds, people=3)
+    for i in range(12):
+        # The shorter one comes first, so that the numbers are in the order of height.
+        here = [body(x, 0.3, height) for x, height in zip((-0.8, 0.8), heights, strict=True)][: 1 + (i > 2)]
+        assert len(segment(scene.look(i, *here)[0])) == len(here)
+    for i in range(12, 24):
+        segment(scene.look(i)[0])
+    for i in range(24, 34):
+        people = segment(scene.look(i, body(0.0, 0.3, heights[1]))[0])
+    assert [person.number for person in people] == [number]
+
+
 def test_without_a_background_somebody_is_found_at_once_and_the_room_is_learnt(scene):
     segment = PeopleSegmenter({})
     found = []

@@ -29,13 +29,11 @@ class Moment:
     Attributes:
         masks: by person and view: who is seen, where the depth is valid.
         joints: by person; NaN while they are not in the room.
-        things: by view: pixels of the chair.
     """
 
     frames: FrameSet
     masks: tuple[tuple[Bool[ndarray, "_ _"], ...], ...]
     joints: tuple[Float[ndarray, "18 3"], ...]
-    things: tuple[Bool[ndarray, "_ _"], ...]
 
 
 class Encounter:
@@ -60,7 +58,7 @@ class Encounter:
         self._rooms = {shift: self._draw_room(shift) for shift in (0.0, 1.0)}
         noise = np.random.default_rng([self._seed, 1])
         self.backgrounds_m = {}
-        for camera, preset, (depth_m, _) in zip(self.rig.cameras, self._presets, self._rooms[0.0], strict=True):
+        for camera, preset, depth_m in zip(self.rig.cameras, self._presets, self._rooms[0.0], strict=True):
             material = np.full(depth_m.shape, Material.SCENE, np.uint8)
             self.backgrounds_m[camera.name] = sense(depth_m, material, camera, preset.model, noise)
 
@@ -83,8 +81,8 @@ class Encounter:
                 dressed.pose(motion.postures[i]).moved(np.eye(3), motion.offsets[i]) if here else None
                 for (dressed, motion), here in zip(self._people, present, strict=True)
             ]
-            views, masks, things = [], [], []
-            for camera, preset, (room_m, chair) in zip(self.rig.cameras, self._presets, rooms, strict=True):
+            views, masks = [], []
+            for camera, preset, room_m in zip(self.rig.cameras, self._presets, rooms, strict=True):
                 depth_m, material = room_m, np.full(room_m.shape, Material.SCENE, np.uint8)
                 who = np.zeros(room_m.shape, np.uint8)
                 for k, person in enumerate(posed):
@@ -96,18 +94,17 @@ class Encounter:
                 read_m = sense(depth_m, material, camera, preset.model, rng)
                 views.append(View(camera, read_m))
                 masks.append([(who == k + 1) & (read_m > 0) for k in range(self.count)])
-                things.append(chair & (who == 0) & (read_m > 0))
             joints = tuple(
                 person.joints if person is not None and _inside(person.joints) else np.full((18, 3), np.nan)
                 for person in posed
             )
             yield Moment(
                 FrameSet(round(float(time_s) * 1e9), tuple(views), joints[0] if joints else None),
-                tuple(tuple(each[k] for each in masks) for k in range(self.count)), joints, tuple(things),
+                tuple(tuple(each[k] for each in masks) for k in range(self.count)), joints,
             )  # fmt: skip
 
-    def _draw_room(self, shift: float) -> list[tuple[Float[ndarray, "_ _"], Bool[ndarray, "_ _"]]]:
-        """What each camera would read of the room without errors, and where the chair is in it."""
+    def _draw_room(self, shift: float) -> list[Float[ndarray, "_ _"]]:
+        """What each camera would read of the room without errors; the chair is at the share ``shift`` of its way."""
         x, y = self._chair + shift * np.array([0.6, -0.3])
         chair = (
             Box((x - 0.22, y - 0.22, 0.4), (x + 0.22, y + 0.22, 0.46)),
@@ -121,11 +118,8 @@ class Encounter:
             *shelf((-HALF_X, -2.2), (-2.65, -1.0), 1.8, 5),
             Box((2.4, 0.6, 0.0), (2.98, 1.5, 1.0)),
         )
-        drawn = []
-        for camera in self.rig.cameras:
-            with_chair = render_room(Room(shell, (*still, *chair)), camera)
-            drawn.append((with_chair, with_chair < render_room(Room(shell, still), camera) - 1e-4))
-        return drawn
+        room = Room(shell, (*still, *chair))
+        return [render_room(room, camera) for camera in self.rig.cameras]
 
 
 def _inside(joints: Float[ndarray, "18 3"]) -> bool:

@@ -206,10 +206,14 @@ class Following:
             person.numbers.append(number)
         person.found_s = now_s
 
-    def numbers(self) -> dict[str, float]:
+    def numbers(self) -> dict[str, float | int]:
         """What became of all."""
         overlaps, first_s = np.array(self._overlaps), np.array(self._first_s)
-        numbers = {"sets": self._sets, "ghost_sets": self._ghosts, "cpu_ms_per_view": self._spent_s * 1e3 / self._views}
+        numbers: dict[str, float | int] = {
+            "sets": self._sets,
+            "ghost_sets": self._ghosts,
+            "cpu_ms_per_view": self._spent_s * 1e3 / self._views,
+        }
         if not len(overlaps):
             return numbers
         return numbers | {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -29,6 +29,7 @@ _PASSING_M = 0.6
 _BESIDE = ((2.2, 1.05), (0.15, 1.82), (2.65, 1.68))
 
 
+@runtime_checkable
 class Story(Protocol):
     """People and their ways.
 
@@ -152,13 +153,13 @@ class Visits:
                 azimuths = 2 * np.pi * k / self.people + rng.uniform(-0.4, 0.4, 2)
                 inside = 0.7 * np.stack([np.cos(azimuths), np.sin(azimuths)], 1)
                 stops = [
-                    Stop(*away[int(rng.integers(1, 3))].tolist()),
-                    *(Stop(*place, float(rng.uniform(0.2, 1.0))) for place in inside.tolist()),
-                    Stop(*away[0].tolist()),
+                    _stop(away[int(rng.integers(1, 3))]),
+                    *(_stop(place, float(rng.uniform(0.2, 1.0))) for place in inside),
+                    _stop(away[0]),
                 ]
                 visits.append(stroll(dressed, stops, first_s, float(rng.uniform(1.0, 1.2)), times_s))
             again = times_s >= (0.0 if self.newcomer and k == self.people - 1 else self.seconds / 2)
-            motions.append(_joined(*visits, again))
+            motions.append(_joined(visits[0], visits[1], again))
         return motions
 
 
@@ -180,8 +181,8 @@ class Beside:
         chair: Float[ndarray, "2"],
         times_s: Float[ndarray, " n"],
     ) -> list[Motion]:
-        place = np.array(_BESIDE[int(rng.integers(len(_BESIDE)))])
-        stops = [Stop(*place.tolist()), Stop(*rng.uniform(-0.4, 0.4, 2).tolist(), 1.0), Stop(-1.2, -0.3)]
+        x, y = _BESIDE[int(rng.integers(len(_BESIDE)))]
+        stops = [Stop(x, y), _stop(rng.uniform(-0.4, 0.4, 2), 1.0), Stop(-1.2, -0.3)]
         motion = stroll(people[0], stops, self.stands_s, 1.1, times_s)
         return [_sway(rng, motion)]
 
@@ -226,6 +227,10 @@ def _visitor(rng: np.random.Generator, others_m: list[float], alike: bool) -> Dr
         off = np.abs(np.array(others_m) - own_m)
         if STATURES_M[0] < own_m < STATURES_M[1] and bool((off < ALIKE_M if alike else off > UNLIKE_M).all()):
             return clothe(body, random_clothes(rng, False, phenotype.gender), rng)
+
+
+def _stop(place: Float[ndarray, "2"], stand_s: float = 0.0) -> Stop:
+    return Stop(float(place[0]), float(place[1]), stand_s)
 
 
 def _joined(first: Motion, second: Motion, again: Bool[ndarray, " n"]) -> Motion:

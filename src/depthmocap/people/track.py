@@ -151,7 +151,7 @@ class Tracks:
 
     def __init__(self) -> None:
         self.alive: list[Track] = []
-        self._away: list[tuple[int, float, float]] = []  # number, stature, when last seen
+        self._away: list[Track] = []
         self._numbers = 0
 
     def expect(self, now_s: float) -> list[Float[ndarray, "2"]]:
@@ -248,8 +248,8 @@ class Tracks:
         for track in [track for track in self.alive if now_s - track.seen_s > GONE_S]:
             self.alive.remove(track)
             if track.number:
-                self._away.append((track.number, track.stature_m, track.seen_s))
-        self._away = [each for each in self._away if now_s - each[2] < AWAY_S]
+                self._away.append(track)
+        self._away = [track for track in self._away if now_s - track.seen_s < AWAY_S]
         for blob in np.flatnonzero(owner == 0).tolist():
             if _is_body(blobs, blob):
                 owner[blob] = self._begin(blobs, blob, learning, now_s)
@@ -300,13 +300,20 @@ class Tracks:
 
     def _returned(self, stature_m: float) -> int:
         """The number of the one who is away and as tall, who is not away any more then; 0 where nobody is for sure."""
-        alike = sorted((abs(away_m - stature_m), number) for number, away_m, _ in self._away if not np.isnan(away_m))
-        if not alike or not alike[0][0] <= SAME_HEIGHT_M:  # NaN is not
+        # Who was never measured is at least as tall as they were seen, and nobody's match.
+        off_m = [
+            max(away.top_m - stature_m, 0.0) if np.isnan(away.stature_m) else abs(away.stature_m - stature_m)
+            for away in self._away
+        ]
+        order = np.argsort(off_m)
+        if not len(order) or np.isnan(stature_m):
             return 0
-        if len(alike) > 1 and alike[1][0] - alike[0][0] < CLEARLY_M:
+        best = self._away[order[0]]
+        clearly = len(order) == 1 or off_m[order[1]] - off_m[order[0]] >= CLEARLY_M
+        if np.isnan(best.stature_m) or off_m[order[0]] > SAME_HEIGHT_M or not clearly:
             return 0
-        self._away = [each for each in self._away if each[0] != alike[0][1]]
-        return alike[0][1]
+        self._away.remove(best)
+        return best.number
 
 
 def _is_body(blobs: Blobs, blob: int) -> bool:
