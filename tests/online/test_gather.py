@@ -73,7 +73,7 @@ def test_a_stuck_camera_and_one_that_is_unplugged_do_not_stop_the_others(virtual
     assert statuses["cam2"].opened_in_vain == pytest.approx(6, abs=1)
     assert dict(capture.problems) == {
         "camera 'cam2' was lost: camera 'cam2' is not connected": 1,
-        "camera 'cam2': its clock went back": 1,  # it began anew
+        "camera 'cam2': its clock went back, or its frames were held up for a second": 1,  # it began anew
     }
 
 

@@ -60,7 +60,9 @@ class Intake:
         clock = self.sync.clock(name)
         if clock is not None and clock.restarts > self._restarts.setdefault(name, clock.restarts):
             self._restarts[name] = clock.restarts
-            self.problems[f"camera {name!r}: its clock {'went back' if clock.went_back else 'jumped ahead'}"] += 1
+            # Which of the two it is cannot be told from times alone.
+            what = "went back, or its frames were held up for a second" if clock.went_back else "jumped ahead"
+            self.problems[f"camera {name!r}: its clock {what}"] += 1
 
     def run(self, frames: Iterable[DepthFrame]) -> Iterator[SyncedSet]:
         """All sets of frames that come in order of arrival, in their own time, however long anyone takes."""
