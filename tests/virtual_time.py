@@ -56,6 +56,12 @@ class VirtualTime:
     def sleep(self, seconds: float) -> None:
         self.wait(None, seconds + 1e-9)  # never less than asked for
 
+    def Timer(self, interval: float, function: Callable[[], Any]) -> _Thread:  # noqa: N802 - as threading calls it
+        cancelled = self.Event()
+        timer = self.Thread(target=lambda: cancelled.wait(interval) or function())
+        timer.cancel = cancelled.set
+        return timer
+
     def wait(self, on: object, timeout_s: float | None) -> bool:
         """Wait until ``tell(on)``, or for so long; whether it was told."""
         with self._changed:
@@ -151,6 +157,7 @@ class _Thread(threading.Thread):
     def __init__(self, owner: VirtualTime, **arguments: Any) -> None:
         super().__init__(**{**arguments, "daemon": True})
         self._time, self._alive = owner, False
+        self.cancel: Callable[[], None] = lambda: None
 
     def start(self) -> None:
         self._alive = True

@@ -11,8 +11,10 @@ from rich.console import Console
 from depthmocap.capture.convert import ConvertSettings, convert
 from depthmocap.capture.open import open_recording
 from depthmocap.capture.recording import RecordingWriter
+from depthmocap.capture.simulator import Faults, SimulatedCamera, Simulation
 from depthmocap.errors import InputError
 from depthmocap.export import read_bvh, read_csv, read_trc
+from depthmocap.online import command
 from depthmocap.online import live as live_module
 from depthmocap.online.command import LiveSettings, run_live
 from depthmocap.pose.track import load_filter
@@ -114,6 +116,20 @@ def test_bones_are_steady_or_free(recording, tmp_path, monkeypatch, virtual, rea
     )
     assert (given, free) == (["free", "steady"], None)
     assert steady is not None
+
+
+@pytest.mark.parametrize("realtime", [False, True])
+def test_it_ends_in_time_even_if_no_camera_delivers(recording, monkeypatch, virtual, realtime):
+    faults = {"cam0": Faults(unplugged=((1.0, 900.0),))}
+
+    def sources(specs, pace):
+        return [SimulatedCamera(Simulation(Board(1), 20.0, 900.0, faults), "cam0", virtual.monotonic_ns())]
+
+    if realtime:
+        monkeypatch.setattr(command, "make_sources", sources)
+    summary = run_live(LiveSettings((recording,), realtime=realtime, seconds=5.0))
+    assert summary["poses"] > 5
+    assert summary["seconds"] < 6
 
 
 @pytest.mark.parametrize("realtime", [False, True])

@@ -137,6 +137,16 @@ def test_a_rig_that_does_not_fit_is_told_once_and_the_others_go_on(virtual):
     assert {name: status.opened_in_vain for name, status in statuses.items()} == {"cam0": 0, "cam1": 7, "cam2": 7}
 
 
+def test_a_camera_that_does_not_fit_does_not_keep_recordings_from_ending(virtual):
+    board = Board(2)
+    rig = Rig((board.rig["cam0"], Board(2, width=64).rig["cam1"]))
+    begun_s = virtual.monotonic()
+    with capture_of(cameras(Simulation(board, RATE, 2.0), virtual), rig) as capture:
+        virtual.Timer(30.0, capture.stop).start()
+        assert sum(1 for _ in capture) > 30
+        assert virtual.monotonic() - begun_s < 3
+
+
 def test_what_a_source_knows_to_be_wrong_is_told(virtual):
     (source,) = cameras(Simulation(Board(1), RATE, 1.0), virtual)
     source.problems.append("a frame is damaged")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -89,6 +90,12 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str
         everybody = None
         if settings.out is not None and settings.people > 1:
             everybody = stack.enter_context(PeopleFiles(settings.out, capture.up))
+        if settings.seconds is not None and isinstance(capture, LiveCapture):
+            # Cameras that deliver nothing give no occasion to look at the time.
+            timer = threading.Timer(settings.seconds, capture.stop)
+            timer.daemon = True
+            timer.start()
+            stack.callback(timer.cancel)
         summary = _follow(capture, files, everybody, settings.seconds, console)
     if not capture.books.poses:
         raise InputError(f"no set of frames came: {' '.join(capture.problems) or 'are the cameras running?'}")

@@ -197,7 +197,9 @@ class Gatherer:
             self._changed.notify_all()
 
     def _ended(self) -> bool:
-        return bool(self._readers) and all(reader.ended for reader in list(self._readers.values()))
+        """All that can deliver are at their end; a camera that does not fit the rig is not waited for."""
+        readers = list(self._readers.values())
+        return any(reader.ended for reader in readers) and all(reader.ended or reader.misfit for reader in readers)
 
     def _measure_rate(self) -> None:
         """Let frames come in until they tell the rate of the fastest camera; they wait meanwhile."""
@@ -252,6 +254,7 @@ class _Reader:
     def __init__(self, source: DepthSource, gatherer: Gatherer) -> None:
         self.source, self.state = source, "opening"
         self.tried, self.opened, self.ended, self.failures = threading.Event(), False, False, 0
+        self.misfit = False
         self._gatherer, self._delivering = gatherer, False
         self._stop = threading.Event()
         # A daemon, because a call of an SDK that never returns must not keep the process alive.
@@ -272,6 +275,7 @@ class _Reader:
             try:
                 self._read_on()
             except MisfitError as error:
+                self.misfit = True
                 self._failed(str(error), str(error))
                 misfit_s = wait_s = min(2 * misfit_s, RETRY_MISFIT_S)
             except Exception as error:  # whatever an SDK raises is this camera's trouble alone
@@ -295,7 +299,7 @@ class _Reader:
         with self.source as source:
             camera = source.camera
             self._gatherer.opened(place(camera, self._gatherer.rig) if self._gatherer.rig else camera)
-            self.opened, self.state, self._delivering = True, "running", True
+            self.opened, self.state, self._delivering, self.misfit = True, "running", True, False
             self.tried.set()
             while not self._stop.is_set():
                 while source.problems:
