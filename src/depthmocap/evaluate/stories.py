@@ -130,37 +130,57 @@ class Visits:
         chair: Float[ndarray, "2"],
         times_s: Float[ndarray, " n"],
     ) -> list[Motion]:
+        again = times_s >= self.seconds / 2
         while True:
-            motions = self._draw_ways(rng, people, times_s)
-            places = np.stack([motion.offsets[:, :2] for motion in motions])
-            pairs = [places[i] - places[j] for i in range(self.people) for j in range(i)]
-            apart_m = np.linalg.norm(pairs, axis=-1)
-            inside = (np.abs(places) < (HALF_X, HALF_Y)).all(-1).any(0)
-            if not (apart_m[:, inside] < _PASSING_M).any():
-                return motions
+            plans = self._draw_plans(rng)
+            places = [np.where(again[:, None], two[1].places(times_s), two[0].places(times_s)) for two in plans]
+            if all(_apart_m(places[i], places[j]) > _PASSING_M for i in range(self.people) for j in range(i)):
+                break
+        motions = [[visit.motion(one, times_s) for visit in two] for one, two in zip(people, plans, strict=True)]
+        if self.newcomer:
+            motions[-1][0] = motions[-1][1]
+        return [_joined(first, second, again) for first, second in motions]
 
-    def _draw_ways(
-        self, rng: np.random.Generator, people: list[DressedBody], times_s: Float[ndarray, " n"]
-    ) -> list[Motion]:
+    def _draw_plans(self, rng: np.random.Generator) -> list[tuple[_Visit, _Visit]]:
+        """Two visits of each."""
         # Nobody comes in where others go out.
         gates = rng.permutation([[-HALF_X - _OUTSIDE, 0.1], [HALF_X + _OUTSIDE, -0.4], [1.4, HALF_Y + _OUTSIDE]])
-        order, motions = rng.permutation(self.people), []
-        for k, dressed in enumerate(people):
-            # Who waits outside is out of the others' way.
-            away = gates * (1 + 0.3 * k)
+        order, plans = rng.permutation(self.people), []
+        for k in range(self.people):
             visits = []
-            for first_s in (0.3 + self._every_s * k, self.seconds / 2 + self._every_s * float(order[k])):
+            for start_s in (0.3 + self._every_s * k, self.seconds / 2 + self._every_s * float(order[k])):
                 azimuths = 2 * np.pi * k / self.people + rng.uniform(-0.4, 0.4, 2)
                 inside = 0.7 * np.stack([np.cos(azimuths), np.sin(azimuths)], 1)
-                stops = [
-                    _stop(away[int(rng.integers(1, 3))]),
+                stops = (
+                    _stop(gates[int(rng.integers(1, 3))]),
                     *(_stop(place, float(rng.uniform(0.2, 1.0))) for place in inside),
-                    _stop(away[0]),
-                ]
-                visits.append(stroll(dressed, stops, first_s, float(rng.uniform(1.0, 1.2)), times_s))
-            again = times_s >= (0.0 if self.newcomer and k == self.people - 1 else self.seconds / 2)
-            motions.append(_joined(visits[0], visits[1], again))
-        return motions
+                    _stop(gates[0]),
+                )
+                visits.append(_Visit(stops, start_s, float(rng.uniform(1.0, 1.2))))
+            plans.append((visits[0], visits[1]))
+        return plans
+
+
+@dataclasses.dataclass(frozen=True)
+class _Visit:
+    """A walk from stop to stop, begun at a time (s), at a speed (m/s)."""
+
+    stops: tuple[Stop, ...]
+    start_s: float
+    speed_mps: float
+
+    def places(self, times_s: Float[ndarray, " n"]) -> Float[ndarray, "n 2"]:
+        """Where the walker is, about: corners are not rounded."""
+        at_s, places = [self.start_s], [(self.stops[0].x, self.stops[0].y)]
+        for stop in self.stops[1:]:
+            walked_m = np.hypot(stop.x - places[-1][0], stop.y - places[-1][1])
+            at_s.append(at_s[-1] + float(walked_m) / self.speed_mps)
+            at_s.append(at_s[-1] + stop.stand_s)
+            places += [(stop.x, stop.y)] * 2
+        return np.stack([np.interp(times_s, at_s, axis) for axis in np.transpose(places)], 1)
+
+    def motion(self, dressed: DressedBody, times_s: Float[ndarray, " n"]) -> Motion:
+        return stroll(dressed, self.stops, self.start_s, self.speed_mps, times_s)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -231,6 +251,12 @@ def _visitor(rng: np.random.Generator, others_m: list[float], alike: bool) -> Dr
 
 def _stop(place: Float[ndarray, "2"], stand_s: float = 0.0) -> Stop:
     return Stop(float(place[0]), float(place[1]), stand_s)
+
+
+def _apart_m(one: Float[ndarray, "n 2"], other: Float[ndarray, "n 2"]) -> float:
+    """The least distance of two people while both are in the room."""
+    inside = (np.abs(np.stack([one, other])) < (HALF_X, HALF_Y)).all(axis=(0, 2))
+    return float(np.linalg.norm(one - other, axis=1).min(initial=np.inf, where=inside))
 
 
 def _joined(first: Motion, second: Motion, again: Bool[ndarray, " n"]) -> Motion:
