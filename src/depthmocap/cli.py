@@ -41,6 +41,8 @@ _COMMANDS = (
              "a whole MCAP file from one that was cut off"),
     _Command("cameras", "depthmocap.capture.cameras", "CamerasSettings", "list_cameras",
              "list the depth cameras that are connected"),
+    _Command("calibrate", "depthmocap.calibrate.command", "CalibrateSettings", "calibrate",
+             "where cameras stand, from a person who walks about"),
     _Command("label", "depthmocap.label", "LabelSettings", "label_image", "body parts of one depth image"),
     _Command("synth", "depthmocap.synth.output.generate", "SynthSettings", "generate",
              "make labelled depth data", "train"),

@@ -37,7 +37,7 @@ _GRADES = ("good", "fair", "poor")
 _FLOORS = {
     "floor": "The floor is where the cameras see it.",
     "feet": "No camera sees enough of the floor: it is where the feet stood, to a few centimetres.",
-    "body": "Neither floor nor feet tell how the world stands: up is along the body, and may be off by several degrees.",
+    "body": "Neither floor nor feet tell how the world stands: up is along the body, give or take several degrees.",
 }
 
 
@@ -110,7 +110,7 @@ def find_rig(recording: Recording, settings: CalibrateSettings, console: Console
     """
     names = recording.rig.names
     if len(names) < 2:
-        raise InputError(f"{recording.path} has one camera ({names[0]!r}): a calibration needs two or more")
+        raise InputError(f"{recording.path} has one camera ({', '.join(names)}): a calibration needs two or more")
     with console.status("reading the background and the weights"):
         classifier = Classifier(settings.weights)
         segmenter = PersonSegmenter.from_recording(recording, settings.segment)

@@ -52,19 +52,19 @@ def write_page(
     explained = (
         "± is how far a pair may be wrong (two standard deviations): in millimetres where the person was, in degrees "
         f"between the cameras. Good is up to {good}, fair up to {fair}.",
-        "Joints apart and turned tell how much the skeletons of two single views differ, pose by pose: mostly errors of "
-        "single views, which many poses average out. Surface points are of walls, floor and person that both cameras "
-        "see, with their median distance.",
+        "Joints apart and turned tell how much the skeletons of two single views differ, pose by pose: mostly errors "
+        "of single views, which many poses average out. Surface points are of walls, floor and person that both "
+        "cameras see, with their median distance.",
     )
+    before = ReportFigure(pictures[0], "As the recording's rig has it.", chart=True)
+    after = ReportFigure(pictures[1], "From above and from the side, with the person's way in black.", chart=True)
+    colours = "One colour a camera: walls and floor of one should lie on those of another."
     sections = [
         ReportSection("Verdict", (headline, *notes), (pair_table(pairs),)),
-        ReportSection(
-            "After", ("One colour a camera: walls and floor of one should lie on those of another.",),
-            figures=(ReportFigure(pictures[1], "From above and from the side, with the person's way in black.", chart=True),),
-        ),
-        ReportSection("Before", figures=(ReportFigure(pictures[0], "As the recording's rig has it.", chart=True),)),
+        ReportSection("After", (colours,), figures=(after,)),
+        ReportSection("Before", figures=(before,)),
         ReportSection("What the numbers mean", explained),
-    ]  # fmt: skip
+    ]
     write_report(path, "Calibration", sections)
 
 
@@ -88,7 +88,7 @@ def draw_clouds(
         axes = figure.add_subplot(1, 2, index + 1)
         for colour, (name, cloud), pose in zip(_COLOURS * 4, clouds.items(), poses, strict=False):
             thin = cloud[:: max(len(cloud) // _POINTS, 1)]
-            axes.plot(thin[:, across], thin[:, along], ",", color=colour, alpha=0.5)
+            axes.plot(thin[:, across], thin[:, along], ".", color=colour, markersize=0.8)
             eye, tip = pose[:3, 3], pose[:3, 3] + 0.4 * pose[:3, 2]
             axes.plot(*np.stack([eye, tip])[:, [across, along]].T, color=colour, linewidth=2)
             axes.plot(eye[across], eye[along], "o", color=colour, markersize=6, label=name)

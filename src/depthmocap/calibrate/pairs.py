@@ -53,7 +53,7 @@ def align(a: Float[ndarray, "n 3"], b: Float[ndarray, "n 3"], weights: Float[nda
     """The rigid motion that takes points b to points a with least weighted squares."""
     share = weights / weights.sum()
     middle_a, middle_b = share @ a, share @ b
-    rotation, _ = Rotation.align_vectors(a - middle_a, b - middle_b, share)
+    rotation = Rotation.align_vectors(a - middle_a, b - middle_b, share)[0]
     a_from_b = np.eye(4)
     a_from_b[:3, :3] = rotation.as_matrix()
     a_from_b[:3, 3] = middle_a - a_from_b[:3, :3] @ middle_b

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from depthmocap.calibrate.observe import Observation
 from depthmocap.calibrate.pairs import usable
@@ -35,8 +35,9 @@ _JOINT_SHARE = 0.03
 _CELL_M = 0.75
 #: Fewer points that two cameras see are chance.
 LEAST_POINTS = 150
-#: Joints may be this much further from each other afterwards.
-_WORSE = 1.1
+#: Joints may be this much further from each other afterwards (metres): their errors lean one way where the person did
+#: not turn, and a wrong match costs much more.
+_WORSE_M = 0.02
 #: Errors that all skeletons of a camera share, which no repetition tells: along its view, the same for every camera of
 #: one network; besides, its own in every direction (metres) and about every axis (radians). Standard deviations, from
 #: skeletons of generated people.
@@ -119,7 +120,7 @@ def refine(placement: Placement, seen: Sequence[Observation], rng: np.random.Gen
     room, person = scene.rows(exact)
     before, after = _in_pairs([row for rows in scene.rows(first) for row in rows]), _in_pairs([*room, *person])
     shared = {pair: len(rows) for pair, rows in after.items() if len(rows) >= LEAST_POINTS}
-    kept = bool(shared) and joints_apart_m(exact, skeletons) <= _WORSE * joints_apart_m(first, skeletons)
+    kept = bool(shared) and joints_apart_m(exact, skeletons) <= joints_apart_m(first, skeletons) + _WORSE_M
     poses = exact if kept else first
     joints = joint_rows(poses, skeletons)
     if kept:
@@ -176,7 +177,7 @@ def _carried(
     later_s: float,
 ) -> Surface:
     """A surface (in the camera's frame) after a moment, each point having gone with the nearest joint."""
-    _, nearest = cKDTree(joints).query(transform_points(pose, surface.points))
+    _, nearest = KDTree(joints).query(transform_points(pose, surface.points))
     return Surface(surface.points + later_s * speeds[nearest] @ pose[:3, :3], surface.normals)
 
 

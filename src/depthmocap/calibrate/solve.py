@@ -114,7 +114,5 @@ def meeting_rows(
 ) -> Rows:
     """Rows that say that points should meet in all directions."""
     weights = geman_mcclure(np.linalg.norm(a - b, axis=1) / expected_m) / expected_m**2
-    normals = np.tile(np.eye(3), (len(a), 1))
-    return Rows(
-        cameras, *(np.repeat(each, 3, axis=0) for each in (a, b)), normals, np.repeat(weights, 3), np.repeat(blocks, 3)
-    )
+    three = np.repeat(np.arange(len(a)), 3)
+    return Rows(cameras, a[three], b[three], np.tile(np.eye(3), (len(a), 1)), weights[three], blocks[three])

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from depthmocap.calibrate.pairs import geman_mcclure
 from depthmocap.calibrate.solve import Rows
@@ -77,9 +77,9 @@ def meeting_surfaces(
     """
     if not len(a.points) or not len(b.points):
         return None
-    distances, nearest = cKDTree(b.points).query(a.points, distance_upper_bound=reach_m)
+    distances, nearest = KDTree(b.points).query(a.points, distance_upper_bound=reach_m)
     near = np.flatnonzero(np.isfinite(distances))
-    other = nearest[near]
+    other = np.asarray(nearest)[near]
     alike = (a.normals[near] * b.normals[other]).sum(1) > _ALIKE
     near, other = near[alike], other[alike]
     if not len(near):

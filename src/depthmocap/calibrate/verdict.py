@@ -26,7 +26,7 @@ _DEVIATIONS, _LEAST_M, _LEAST_DEG = 2.0, 0.001, 0.02
 #: A camera that shares fewer poses than this with its best partner is warned of, or agrees in fewer of them.
 FEW_POSES, FEW_AGREED = 60, 0.6
 #: A person whose middle keeps within this tells little of turns (metres, standard deviation).
-NARROW_M = 0.25
+NARROW_M = 0.15
 #: A camera is said to be out of step if it is by this (s), and by so many standard errors.
 LATE_S, LATE_ERRORS = 0.008, 3.0
 
@@ -58,7 +58,8 @@ class PairVerdict:
     @property
     def grade(self) -> Grade:
         """In one word."""
-        for grade, (metres, degrees) in (("good", GOOD), ("fair", FAIR)):
+        grades: tuple[tuple[Grade, tuple[float, float]], ...] = (("good", GOOD), ("fair", FAIR))
+        for grade, (metres, degrees) in grades:
             if self.uncertainty_mm <= 1e3 * metres and self.uncertainty_deg <= degrees:
                 return grade
         return "poor"
