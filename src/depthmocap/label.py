@@ -110,7 +110,7 @@ def label_image(settings: LabelSettings) -> UInt8[ndarray, "h w"]:
         raise InputError(f"{settings.depth}: no person found; {np.count_nonzero(person)} pixels have valid depth")
     _write(settings.out, labels)
     if settings.preview is not None:
-        from depthmocap.evaluate.pictures import colour_labels
+        from depthmocap.report.pictures import colour_labels
 
         picture = settings.preview[0] if settings.preview else settings.out.with_stem(settings.out.stem + "_preview")
         _write(picture, np.ascontiguousarray(colour_labels(labels, depth)[..., ::-1]))

@@ -22,7 +22,6 @@ from depthmocap.capture.open import open_recording
 from depthmocap.capture.recording import Recording
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
-from depthmocap.evaluate.metrics import joint_metrics
 from depthmocap.export import CsvWriter, write_bvh, write_trc
 from depthmocap.export.files import PeopleFiles, plain_json
 from depthmocap.frames import FrameSet, FrameSource, Pose
@@ -31,6 +30,7 @@ from depthmocap.people.segmenter import PeopleSegmenter
 from depthmocap.pipeline import STAGES, Pipeline, Result
 from depthmocap.pose.estimate import load_estimator
 from depthmocap.pose.track import AUTO, Bones, Smoothing, load_filter
+from depthmocap.report.metrics import joint_metrics
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
-from depthmocap.evaluate.charts import joint_error_bars, precision_curve
-from depthmocap.evaluate.metrics import joint_metrics
-from depthmocap.evaluate.pictures import animation, cloud_picture, labelled_depth_strip
-from depthmocap.evaluate.report import ReportFigure, ReportSection, ReportTable, write_report
 from depthmocap.frames import FrameSet
 from depthmocap.geometry.transforms import z_up_from
 from depthmocap.pipeline import Result
+from depthmocap.report.charts import joint_error_bars, precision_curve
+from depthmocap.report.metrics import joint_metrics
+from depthmocap.report.page import ReportFigure, ReportSection, ReportTable, write_report
+from depthmocap.report.pictures import animation, cloud_picture, labelled_depth_strip
 
 #: Frames of the preview and stills of the report, at most.
 _PREVIEW, _STILLS = 60, 3

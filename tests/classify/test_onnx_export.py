@@ -47,10 +47,12 @@ def session(path: Path) -> onnxruntime.InferenceSession:
     return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
 
 
-@pytest.mark.parametrize("count", [1, 3])
-def test_same_probabilities_labels_and_joints(exported: tuple[FastNet, Path], count: int) -> None:
+@pytest.mark.parametrize(("count", "height", "width"), [(1, WINDOW, WINDOW), (3, WINDOW, 64), (2, 96, 160)])
+def test_same_probabilities_labels_and_joints(
+    exported: tuple[FastNet, Path], count: int, height: int, width: int
+) -> None:
     network, path = exported
-    windows = torch.randn(count, 3, WINDOW, WINDOW, generator=torch.Generator().manual_seed(count))
+    windows = torch.randn(count, 3, height, width, generator=torch.Generator().manual_seed(count))
     windows[:, 1] = (windows[:, 1] > 1).float()
     with torch.no_grad():
         expected, places = (each.numpy() for each in network.eval()(windows))
@@ -58,7 +60,7 @@ def test_same_probabilities_labels_and_joints(exported: tuple[FastNet, Path], co
     np.testing.assert_allclose(joints, places, atol=2e-2)
     assert actual.dtype == np.float32
     assert actual.shape == expected.shape == (len(expected), 4, CLASSES)
-    assert 0.4 < len(expected) / (count * (WINDOW // 2) ** 2) < 0.6
+    assert 0.4 < len(expected) / (count * height * width / 4) < 0.6
     assert np.linalg.norm(actual - expected) < 2e-2 * np.linalg.norm(expected)
     assert (actual.argmax(-1) == expected.argmax(-1)).mean() > 0.99
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from depthmocap.body.model import Body
-from depthmocap.classify.preprocess import DEPTH_SCALE_M, MIN_PIXELS, PERSON, PIXEL_M, WINDOW, make_window
+from depthmocap.classify.preprocess import DEPTH_SCALE_M, MIN_PIXELS, PERSON, PIXEL_M, WINDOW, WINDOW_STEP, make_window
 from depthmocap.geometry import DepthCamera, look_at
 from depthmocap.synth.motion.postures import PosturePrior
 from depthmocap.synth.render import render_body
@@ -64,9 +64,12 @@ def test_window_shows_the_person(default_body: Body, distance_m: float) -> None:
     depth, labels = picture(default_body, camera)
     window = make_window(depth, labels > 0, camera)
     assert window is not None
-    assert window.inputs.shape == (3, WINDOW, WINDOW)
     assert window.inputs.dtype == np.float32
     relative, mask, scale = window.inputs
+    # As wide and high as the person, in steps.
+    assert all(side % WINDOW_STEP == 0 for side in mask.shape)
+    assert max(mask.shape) == WINDOW
+    assert mask.any(0).sum() > mask.shape[1] - WINDOW_STEP - 2
     # All of the person, but for pixels that stand alone in depth: a finger far away is one pixel wide.
     person = window.labels_from_image(labels) > 0
     assert not (mask > person).any()
@@ -75,8 +78,8 @@ def test_window_shows_the_person(default_body: Body, distance_m: float) -> None:
     rows, columns = np.nonzero(mask)
     sides = (np.ptp(rows) + 1, np.ptp(columns) + 1)
     assert PERSON - 2 <= max(sides) <= PERSON + 2
-    for places in (rows, columns):
-        assert (places.min() + places.max()) / 2 == pytest.approx((WINDOW - 1) / 2, abs=1.5)
+    for places, side in zip((rows, columns), mask.shape, strict=True):
+        assert (places.min() + places.max()) / 2 == pytest.approx((side - 1) / 2, abs=1.5)
     # The depth's origin is the person's median, which an odd pixel moves by less than a millimetre.
     centre_m = np.median(depth[labels > 0])
     assert not relative[mask == 0].any()
@@ -211,7 +214,8 @@ def test_places_there_and_back(default_body: Body, distortion: tuple[float, floa
     ray = camera.rays[row, column]
     point = camera.world_from_camera[:3, :3] @ np.array([*ray * z, z]) + camera.world_from_camera[:3, 3]
     right, down, behind = window.places_from_world(point[None], camera)[0]
-    j, i = (int(np.floor(x / window.pixel_m + WINDOW / 2)) for x in (right, down))
+    height, width = window.inputs.shape[1:]
+    i, j = int(np.floor(down / window.pixel_m + height / 2)), int(np.floor(right / window.pixel_m + width / 2))
     assert window.inputs[1, i, j] == 1
     assert window.inputs[0, i, j] * DEPTH_SCALE_M == pytest.approx(behind, abs=0.03)
     behind_camera = camera.world_from_camera[:3, 3] - camera.world_from_camera[:3, 2]

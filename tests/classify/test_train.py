@@ -57,9 +57,10 @@ def test_windows_of_the_papers_kind(body_model: BodyModel) -> None:
     assert (y == UNLABELLED).mean() < 0.01
     for array, same in zip((x, y), source.train()[7][:2], strict=True):
         np.testing.assert_array_equal(array, same)
-    valid_x, valid_y, _ = source.valid(2)
-    assert valid_x.shape == (2, 2, 250, 250) and valid_y.dtype == torch.uint8
-    assert not (valid_y[0] == torch.from_numpy(source.train()[0][1])).all()
+    valid = source.valid(2)
+    assert [each.inputs.shape for each in valid] == [(2, 250, 250)] * 2
+    assert valid[0].labels.dtype == np.uint8
+    assert not (valid[0].labels == source.train()[0].labels).all()
 
 
 def test_the_papers_network_learns_resumes_and_exports(
@@ -83,10 +84,10 @@ def test_the_papers_network_learns_resumes_and_exports(
     load_weights(network, settings.out / "classifier.safetensors")
     for name, value in network.state_dict().items():
         torch.testing.assert_close(value, state["network"][name], rtol=1e-3, atol=1e-5)
-    x, y, joints = settings.source.valid(1)
-    accuracy, joint_m = evaluate_windows(network, x, y, joints)
+    (window,) = settings.source.valid(1)
+    accuracy, joint_m = evaluate_windows(network, [window])
     assert np.isnan(joint_m)
-    assert accuracy.pixels == ((x[:, 1] > 0) & (y > 0) & (y != UNLABELLED)).sum()
+    assert accuracy.pixels == ((window.inputs[1] > 0) & (window.labels > 0) & (window.labels != UNLABELLED)).sum()
     with pytest.raises(InputError, match=r"checkpoint\.pt is of another network or optimiser"):
         train_classifier(dataclasses.replace(settings, network="fast", images=8))
 

@@ -13,8 +13,8 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.cli import main
 from depthmocap.evaluate.compare import Comparison, compare
 from depthmocap.evaluate.evaluation_report import Outputs, write_outputs
-from depthmocap.evaluate.metrics import joint_errors_cm, joint_metrics, reliability
 from depthmocap.evaluate.protocol import joint_numbers
+from depthmocap.report.metrics import joint_errors_cm, joint_metrics, reliability
 
 QUIET = Console(quiet=True)
 

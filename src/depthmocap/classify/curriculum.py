@@ -19,8 +19,8 @@ from depthmocap.classify.networks import NETWORKS
 from depthmocap.classify.train import ClassifierTraining, Optimiser, evaluate_windows, load_weights, train_classifier
 from depthmocap.classify.windows import WindowSource
 from depthmocap.errors import InputError
-from depthmocap.evaluate.charts import loss_curves
-from depthmocap.evaluate.report import ReportFigure, ReportSection, ReportTable, write_report
+from depthmocap.report.charts import loss_curves
+from depthmocap.report.page import ReportFigure, ReportSection, ReportTable, write_report
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.sample import Subset
 
@@ -184,7 +184,7 @@ def _measured(settings: CurriculumTraining, optimiser: Optimiser, stage: _Stage 
     network.to(settings.device)
     found = {}
     for subset in _SUBSETS:
-        accuracy, _ = evaluate_windows(network, *settings.source(subset).valid(settings.valid_images), settings.device)
+        accuracy, _ = evaluate_windows(network, settings.source(subset).valid(settings.valid_images), settings.device)
         found[subset] = {"class_accuracy": accuracy.class_accuracy, "pixel_accuracy": accuracy.pixel_accuracy}
     folder.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(found, indent=1) + "\n")

@@ -44,8 +44,8 @@ class LabelledWindow(NamedTuple):
     """What a network learns from: a window's inputs, its labels, 255 where they are not known, and the places of the
     joints in it (see ``Window.places_from_world``), NaN where they are not."""
 
-    inputs: Float[ndarray, "c s s"]
-    labels: UInt8[ndarray, "s s"]
+    inputs: Float[ndarray, "c h w"]
+    labels: UInt8[ndarray, "h w"]
     joints: Float[ndarray, "18 3"]
 
 

@@ -8,7 +8,7 @@ import logging
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 
 def export_onnx(network: Network, path: Path, metadata: dict[str, str]) -> Path:
-    """Write ``network`` as ONNX: input ``windows`` (n, *its input_shape*), outputs those of its forward: ``logits`` of
-    the paper's, ``probabilities`` and ``joints`` of ours.
+    """Write ``network`` as ONNX: input ``windows`` (n, *its input_shape*, of ours any multiples of 32 high and wide),
+    outputs those of its forward: ``logits`` of the paper's, ``probabilities`` and ``joints`` of ours.
 
     ``metadata`` must hold the network's name as ``network``, by which :class:`~depthmocap.classify.runtime.Classifier`
     knows how its windows are made.
@@ -35,10 +35,14 @@ def export_onnx(network: Network, path: Path, metadata: dict[str, str]) -> Path:
     network = copy.deepcopy(network).cpu().eval()
     example = torch.zeros(2, *network.input_shape)
     outputs = ["probabilities", "joints"] if network.tells_joints else ["logits"]
+    sizes: dict[int, Any] = {0: torch.export.Dim("n", min=1)}
+    if network.size_step is not None:
+        # As multiples of a number the exporter knows that what was halved and doubled fits again.
+        sizes |= {i: network.size_step * torch.export.Dim(f"steps{i}", min=1, max=64) for i in (2, 3)}
     with _quiet():
         program = torch.onnx.export(
             network, (example,), input_names=["windows"], output_names=outputs, dynamo=True, verbose=False,
-            dynamic_shapes={"x": {0: torch.export.Dim("n", min=1)}},
+            dynamic_shapes={"x": sizes},
         )  # fmt: skip
     assert program is not None
     program.optimize()

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from depthmocap.body.regions import REGION_COUNT
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.classify.paper import PaperNet
-from depthmocap.classify.preprocess import DEPTH_SCALE_M, PIXEL_M, WINDOW
+from depthmocap.classify.preprocess import DEPTH_SCALE_M, PIXEL_M, WINDOW, WINDOW_STEP
 
 CLASSES = REGION_COUNT + 1
 #: Offsets of joints are told in units of so many metres.
@@ -64,6 +64,8 @@ class FastNet(nn.Module):
     """
 
     input_shape = (3, WINDOW, WINDOW)
+    #: Sides of an input may be any multiples of this.
+    size_step: int | None = WINDOW_STEP
     #: Only the person's pixels are learnt.
     learns_background = False
     #: The second output is where the joints are.
@@ -96,7 +98,7 @@ class FastNet(nn.Module):
         return nn.functional.linear(rows, self.head.weight.flatten(1), self.head.bias).unflatten(1, (4, CLASSES))
 
     def features(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """What the head reads, ``(n, c, s/2, s/2)``, and what the joints are read from, ``(n, c, s/8, s/8)``."""
+        """What the head reads, ``(n, c, h/2, w/2)``, and what the joints are read from, ``(n, c, h/8, w/8)``."""
         x = self.stem(x)
         skips = [x]
         for level in self.down:
@@ -142,9 +144,9 @@ def masked_outputs(network: Network, x: Tensor, labels: Tensor, mask: Tensor) ->
     19×19 pixels and makes them all.
 
     Args:
-        x: (n, c, s, s) windows.
-        labels: (n, s, s) integers.
-        mask: (n, s, s) bool.
+        x: (n, c, h, w) windows.
+        labels: (n, h, w) integers.
+        mask: (n, h, w) bool.
     """
     if isinstance(network, PaperNet):
         return network(x).permute(0, 2, 3, 1)[mask], labels[mask], None

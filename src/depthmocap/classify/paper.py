@@ -20,6 +20,7 @@ class PaperNet(nn.Module):
     """
 
     input_shape = (2, PAPER_WINDOW, PAPER_WINDOW)
+    size_step: int | None = None
     #: The empty pixels around the person are learnt too, as background.
     learns_background = True
     tells_joints = False

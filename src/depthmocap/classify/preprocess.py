@@ -1,9 +1,9 @@
-"""From a masked depth image to the network's square window, and from the window's labels back.
+"""From a masked depth image to the network's window, and from the window's labels back.
 
 As in the paper (Sec. IV-A) the person's bounding box is scaled to a fixed size and the depth shifted to a fixed mean.
-Our window is tighter (180 of 192 pixels instead of 190 of 250: the same person, fewer empty pixels), depth stays in
-metres around the person's median instead of 8-bit levels, and the scale of a pixel is told to the network. The paper's
-own window is made for its network.
+Our window is tighter (180 of 192 pixels instead of 190 of 250, and across its longer side just as wide as the person:
+fewer empty pixels), depth stays in metres around the person's median instead of 8-bit levels, and the scale of a pixel
+is told to the network. The paper's own window is made for its network.
 """
 
 from __future__ import annotations
@@ -22,8 +22,10 @@ from depthmocap.geometry.transforms import transform_points
 from depthmocap.kernels.box import box_of
 from depthmocap.kernels.window import gather, gather_labels, scatter, supported
 
-#: Side of the window, and of the person's bounding box in it (pixels).
+#: Longer side of the window, and of the person's bounding box in it (pixels).
 WINDOW, PERSON = 192, 180
+#: Sides are multiples of this: the network halves them five times.
+WINDOW_STEP = 32
 #: Relative depth is divided by this (metres) and clipped to ±2.
 DEPTH_SCALE_M = 0.5
 #: A typical size of a window pixel on the person (metres), the origin of the third channel.
@@ -50,7 +52,7 @@ class Window:
     metric: right, down and forwards of the middle.
     """
 
-    inputs: Float[ndarray, "c s s"]
+    inputs: Float[ndarray, "c h w"]
     left: float
     top: float
     step: float
@@ -60,29 +62,29 @@ class Window:
     def places_from_world(self, points_world: Float[ndarray, "n 3"], camera: DepthCamera) -> Float[ndarray, "n 3"]:
         """Places of world points in our window (metres); NaN for points behind the camera."""
         u, v, z = camera.project(points_world).T
-        half = self.inputs.shape[1] / 2
-        right = ((u + 0.5 - self.left) / self.step - half) * self.pixel_m
-        down = ((v + 0.5 - self.top) / self.step - half) * self.pixel_m
+        height, width = self.inputs.shape[1:]
+        right = ((u + 0.5 - self.left) / self.step - width / 2) * self.pixel_m
+        down = ((v + 0.5 - self.top) / self.step - height / 2) * self.pixel_m
         return np.stack([right, down, z - self.centre_m], -1)
 
     def places_to_world(self, places: Float[ndarray, "n 3"], camera: DepthCamera) -> Float[ndarray, "n 3"]:
         """World points (metres) of places in our window."""
-        half = self.inputs.shape[1] / 2
-        u = (places[:, 0] / self.pixel_m + half) * self.step + self.left - 0.5
-        v = (places[:, 1] / self.pixel_m + half) * self.step + self.top - 0.5
+        height, width = self.inputs.shape[1:]
+        u = (places[:, 0] / self.pixel_m + width / 2) * self.step + self.left - 0.5
+        v = (places[:, 1] / self.pixel_m + height / 2) * self.step + self.top - 0.5
         rays = camera.rays_through(np.stack([u, v], -1).astype(np.float64))
         z = places[:, 2:] + self.centre_m
         return transform_points(camera.world_from_camera, np.concatenate([rays * z, z], -1))
 
-    def labels_from_image(self, labels: UInt8[ndarray, "h w"], fill: int = 0) -> UInt8[ndarray, "s s"]:
+    def labels_from_image(self, labels: UInt8[ndarray, "_ _"], fill: int = 0) -> UInt8[ndarray, "h w"]:
         """Labels of the picture in the window."""
         out = np.full(self.inputs.shape[1:], fill, dtype=np.uint8)
         gather_labels(labels, self.left, self.top, self.step, out)
         return out
 
     def labels_to_image(
-        self, labels: UInt8[ndarray, "s s"], confidence: Float[ndarray, "s s"], mask: Bool[ndarray, "h w"]
-    ) -> tuple[UInt8[ndarray, "h w"], Float[ndarray, "h w"]]:
+        self, labels: UInt8[ndarray, "h w"], confidence: Float[ndarray, "h w"], mask: Bool[ndarray, "rows columns"]
+    ) -> tuple[UInt8[ndarray, "rows columns"], Float[ndarray, "rows columns"]]:
         """Labels and confidences of the window at the picture's masked pixels, 0 elsewhere."""
         out_labels = np.zeros(mask.shape, dtype=np.uint8)
         out_confidence = np.zeros(mask.shape, dtype=np.float32)
@@ -91,8 +93,8 @@ class Window:
 
 
 def make_window(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], camera: DepthCamera) -> Window | None:
-    """The person's window, or None where the mask holds nobody: ``inputs`` (3, 192, 192) are relative depth, mask and
-    log2 of the pixel size.
+    """The person's window, or None where the mask holds nobody: ``inputs`` (3, h, w) are relative depth, mask and log2
+    of the pixel size. The longer side has 192 pixels, the other as many steps of 32 as show all of the person.
 
     Args:
         depth_m: metres along z.
@@ -114,9 +116,11 @@ def make_window(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], came
     left, right = corner[1] + columns.start, corner[1] + columns.stop
     centre_m = float(np.median(depths))
     step = max(bottom - top, right - left) / PERSON
-    x0 = (left + right) / 2 - WINDOW / 2 * step
-    y0 = (top + bottom) / 2 - WINDOW / 2 * step
-    inputs = np.zeros((3, WINDOW, WINDOW), dtype=np.float32)
+    height, width = (int(extent / step + 1) // WINDOW_STEP * WINDOW_STEP + WINDOW_STEP
+                     for extent in (bottom - top, right - left))  # fmt: skip
+    x0 = (left + right) / 2 - width / 2 * step
+    y0 = (top + bottom) / 2 - height / 2 * step
+    inputs = np.zeros((3, height, width), dtype=np.float32)
     gather(depth, solid, corner, x0, y0, step, centre_m, DEPTH_SCALE_M, inputs)
     pixel_m = float(centre_m * step / camera.fx)
     inputs[2] = np.log2(pixel_m / PIXEL_M)

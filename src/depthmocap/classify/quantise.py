@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,6 @@ from numpy import ndarray
 if TYPE_CHECKING:
     import onnx
 
-_BATCH = 8
 #: What is made in 8 bits. The head is not: it is small, since only the person's pixels have one.
 _KINDS = ["Conv", "Relu", "Add", "Concat", "Reshape", "Transpose", "Gather"]
 
@@ -40,7 +40,7 @@ def _telling_joints(model: onnx.ModelProto) -> list[str]:
     ]
 
 
-def quantise(source: Path, windows: Float32[ndarray, "n 3 s s"], path: Path) -> Path:
+def quantise(source: Path, windows: Sequence[Float32[ndarray, "3 _ _"]], path: Path) -> Path:
     """Write an ONNX classifier of ours with the convolutions of ``source`` in 8 bits.
 
     How the joints are told stays as it is but for convolutions of more than one pixel: places want more than 8 bits.
@@ -54,11 +54,11 @@ def quantise(source: Path, windows: Float32[ndarray, "n 3 s s"], path: Path) -> 
 
     class Windows(CalibrationDataReader):
         def __init__(self) -> None:
-            self._first = iter(range(0, len(windows), _BATCH))
+            self._open = iter(windows)
 
         def get_next(self) -> dict[str, ndarray] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-            first = next(self._first, None)
-            return None if first is None else {"windows": windows[first : first + _BATCH]}
+            window = next(self._open, None)
+            return None if window is None else {"windows": window[None]}
 
     with tempfile.TemporaryDirectory() as folder:
         # The runtime's own pass folds the casts behind which weights are stored in fp16.

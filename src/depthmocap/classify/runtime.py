@@ -39,8 +39,8 @@ class Found(NamedTuple):
 class FoundInWindow(NamedTuple):
     """The same in a window: places of the joints as in ``Window.places_from_world``, and the logarithm of the error."""
 
-    labels: UInt8[ndarray, "s s"]
-    confidence: Float[ndarray, "s s"]
+    labels: UInt8[ndarray, "h w"]
+    confidence: Float[ndarray, "h w"]
     joints: Float[ndarray, "18 4"]
 
 

@@ -7,6 +7,7 @@ import dataclasses
 import json
 import math
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -18,13 +19,14 @@ from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from depthmocap.body.regions import UNLABELLED
+from depthmocap.classify.data import LabelledWindow
 from depthmocap.classify.export import export_onnx
 from depthmocap.classify.networks import NETWORKS, Network, masked_outputs
 from depthmocap.classify.preprocess import NetworkName
 from depthmocap.classify.quantise import quantise
-from depthmocap.classify.windows import Batches, WindowSource
+from depthmocap.classify.windows import Batches, WindowSource, sorted_batches, training_batches
 from depthmocap.errors import InputError
-from depthmocap.evaluate.metrics import PixelAccuracy
+from depthmocap.report.metrics import PixelAccuracy
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.sample import Subset
 
@@ -95,14 +97,14 @@ class ClassifierTraining:
 
 
 def evaluate_windows(
-    network: Network, inputs: Tensor, labels: Tensor, joints: Tensor, device: str = "cpu"
+    network: Network, windows: Sequence[LabelledWindow], device: str = "cpu"
 ) -> tuple[PixelAccuracy, float]:
-    """Accuracy over windows (n, c, s, s) and labels (n, s, s) uint8, on the person's labelled pixels; and the mean
-    error (metres) of the known joints (n, 18, 3), NaN of a network that does not tell them."""
+    """Accuracy over windows, on the person's labelled pixels; and the mean error (metres) of the known joints, NaN of a
+    network that does not tell them."""
     network.eval()
     accuracy, errors = PixelAccuracy(), []
     with torch.no_grad():
-        for x, y, places in zip(inputs.split(16), labels.split(16), joints.split(16), strict=True):
+        for x, y, places in sorted_batches(windows, 16):
             x, y = x.to(device).to(memory_format=torch.channels_last), y.to(device)
             chosen, truth, found = masked_outputs(network, x, y, (x[:, 1] > 0) & (y != UNLABELLED))
             accuracy.add(truth.cpu().numpy(), chosen.argmax(1).cpu().numpy().astype(np.uint8))
@@ -144,7 +146,8 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     """Train, or go on training, and export; returns the ONNX file.
 
     The objective is the mean cross-entropy over the pixels whose label is known: ours learns from the masked ones, the
-    paper's network from all of the window. Ours also learns where the joints are (:func:`joint_loss`).
+    paper's network from all of the window. Ours also learns where the joints are (:func:`joint_loss`), and from the
+    mirror image of every picture, which counts as a picture.
 
     Raises:
         InputError: data, postures or weights that cannot be read, or a folder that holds another network's run.
@@ -181,12 +184,17 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     data = settings.source.train(done)
     valid = settings.source.valid(settings.valid_images)
     loader = torch.utils.data.DataLoader(
-        data, batch_sampler=Batches(settings.batch), num_workers=settings.workers,
+        data, batch_sampler=Batches(settings.batch), collate_fn=list, num_workers=settings.workers,
         prefetch_factor=6 if settings.workers else None,
         # Forking after OpenMP has run can hang the child.
         multiprocessing_context="spawn" if settings.workers else None,
         persistent_workers=settings.workers > 0,
     )  # fmt: skip
+
+    if network.learns_background:  # the windows of the paper's network are of one size
+        batches = (batch for windows in loader for batch in sorted_batches(windows, settings.batch))
+    else:
+        batches = training_batches(loader, settings.batch, settings.seed + done)
 
     def save() -> None:
         partial = checkpoint.with_suffix(".tmp")
@@ -202,7 +210,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
         task = progress.add_task("training", total=1.0)
         progress.update(task, completed=_share(settings, done, spent))
         clock = time.monotonic()
-        for x, y, places in loader:
+        for x, y, places in batches:
             share = _share(settings, done, spent)
             if share >= 1:
                 break
@@ -236,7 +244,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
             progress.update(task, completed=_share(settings, done, spent),
                             description=f"{done} images  loss {np.mean(running[-50:]):.3f}")  # fmt: skip
             if before // settings.valid_every != done // settings.valid_every:
-                accuracy, joint_m = evaluate_windows(cast(Network, average.module), *valid, settings.device)
+                accuracy, joint_m = evaluate_windows(cast(Network, average.module), valid, settings.device)
                 row = {
                     "step": done, "minutes": spent / 60, "loss": float(np.mean(running)),
                     "train_pixel_accuracy": float(np.mean(hits)),
@@ -257,8 +265,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     save_file({k: v.contiguous() for k, v in half.items()}, out / "classifier.safetensors")
     path = export_onnx(network, out / "classifier.onnx", {"network": settings.network, "images": str(done)})
     if settings.network == "fast":
-        windows = np.stack([data[i][0] for i in range(_CALIBRATION)])
-        quantise(path, windows, out / "classifier_int8.onnx")
+        quantise(path, [data[i].inputs for i in range(_CALIBRATION)], out / "classifier_int8.onnx")
     return path
 
 
@@ -287,7 +294,7 @@ def _share(settings: ClassifierTraining, done: int, spent: float) -> float:
 
 
 def _write_history(out: Path, history: list[dict[str, float]]) -> None:
-    from depthmocap.evaluate.charts import loss_curves
+    from depthmocap.report.charts import loss_curves
 
     (out / "history.jsonl").write_text("".join(json.dumps(row) + "\n" for row in history))
     with contextlib.suppress(OSError):  # a picture is not worth a training run

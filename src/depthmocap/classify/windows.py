@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import collections
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -13,6 +15,7 @@ from numpy import ndarray
 from torch import Tensor
 from torch.utils.data import Dataset, Sampler
 
+from depthmocap.body import regions, skeleton
 from depthmocap.body.regions import UNLABELLED
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.classify.data import LabelledWindow, Spoiling, joint_places, training_window
@@ -26,6 +29,10 @@ from depthmocap.synth.sample import Sampler as SampleSampler
 #: Validation draws from a seed of its own.
 _VALID_SEED = 1_000_003
 _ENDLESS = 1 << 40
+#: So many batches at a time are sorted by the size of their windows.
+_SORTED = 8
+#: So many windows lie between one and its mirror image.
+_APART = 1024
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,23 +63,20 @@ class WindowSource:
             return _FolderWindows(self, "train", first)
         return _PaperWindows(self, "train", first) if self.network == "paper" else _SynthWindows(self, first)
 
-    def valid(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
-        """The fixed validation windows (n, c, s, s), labels (n, s, s) and joints (n, 18, 3): of the postures of the
-        valid split, from another seed.
+    def valid(self, count: int) -> list[LabelledWindow]:
+        """The fixed validation windows: of the postures of the valid split, from another seed.
 
         Raises:
             InputError: postures or data that cannot be read.
         """
         if self.data != "synth":
             folder = _FolderWindows(self, "valid", 0)
-            windows = [folder[i] for i in range(min(count, len(folder.index)))]
-        elif self.network == "paper":
+            return [folder[i] for i in range(min(count, len(folder.index)))]
+        if self.network == "paper":
             source = _PaperWindows(dataclasses.replace(self, seed=self.seed + _VALID_SEED), "valid", 0)
-            windows = [source[i] for i in range(count)]
-        else:
-            postures = posture_source(self.postures, "valid", self.subset == "easy")
-            windows = [training_window(self.seed + _VALID_SEED, i, self.subset, postures, None) for i in range(count)]
-        return tuple(torch.from_numpy(np.stack(each)) for each in zip(*windows, strict=True))  # pyright: ignore
+            return [source[i] for i in range(count)]
+        postures = posture_source(self.postures, "valid", self.subset == "easy")
+        return [training_window(self.seed + _VALID_SEED, i, self.subset, postures, None) for i in range(count)]
 
     def window(self, view: View, joints: Float[ndarray, "18 3"] | None) -> LabelledWindow | None:
         """The window of a view with mask and labels; None where nobody is. Only our network learns the joints."""
@@ -151,6 +155,63 @@ class _FolderWindows(Dataset[LabelledWindow]):
             if window is not None:
                 return window
         raise InputError("100 views in a row hold no labelled person: is this a UBC3V root with labels?")
+
+
+class LabelledBatch(NamedTuple):
+    """Labelled windows of one size: inputs (n, c, h, w), labels (n, h, w) and joints (n, 18, 3), see LabelledWindow."""
+
+    inputs: Tensor
+    labels: Tensor
+    joints: Tensor
+
+
+def sorted_batches(windows: Sequence[LabelledWindow], size: int) -> Iterator[LabelledBatch]:
+    """The windows in batches of ``size``, alike windows together; the smaller ones of a batch are widened about their
+    middles, which leaves the places of the joints as they are."""
+    order = sorted(range(len(windows)), key=lambda i: windows[i].labels.shape)
+    for first in range(0, len(order), size):
+        chosen = [windows[i] for i in order[first : first + size]]
+        shape = np.max([each.labels.shape for each in chosen], 0)
+        wide = [widened(each, *shape) for each in chosen]
+        yield LabelledBatch(*(torch.from_numpy(np.stack(each)) for each in zip(*wide, strict=True)))
+
+
+def widened(window: LabelledWindow, height: int, width: int) -> LabelledWindow:
+    """The window with empty pixels around it."""
+    inputs, labels, joints = window
+    rows, columns = (height - labels.shape[0]) // 2, (width - labels.shape[1]) // 2
+    if not (rows or columns):
+        return window
+    around = (rows, rows), (columns, columns)
+    # The last channel is the same all over; depth and mask are 0 around the person.
+    wide = np.stack([np.pad(each, around) for each in inputs[:2]] + [np.full((height, width), inputs[2, 0, 0])])
+    return LabelledWindow(wide, np.pad(labels, around, constant_values=UNLABELLED), joints)
+
+
+def mirrored(window: LabelledWindow) -> LabelledWindow:
+    """The window of the mirror image of the person."""
+    table = np.full(256, UNLABELLED, np.uint8)
+    table[: len(regions.MIRROR)] = regions.MIRROR
+    inputs, labels = (np.ascontiguousarray(each[..., ::-1]) for each in (window.inputs, window.labels))
+    return LabelledWindow(inputs, table[labels], window.joints[skeleton.MIRROR] * np.array([-1, 1, 1], np.float32))
+
+
+def training_batches(windows: Iterable[list[LabelledWindow]], size: int, seed: int) -> Iterator[LabelledBatch]:
+    """Batches for our network: every window is shown twice, the second time as a mirror image and much later; alike
+    windows are together, which spares the network the empty pixels around them."""
+    rng = np.random.default_rng(seed)
+    later: collections.deque[LabelledWindow] = collections.deque()
+    shown: list[LabelledWindow] = []
+    for few in windows:
+        shown += few
+        later += few
+        while len(later) > _APART:
+            shown.append(mirrored(later.popleft()))
+        if len(shown) >= _SORTED * size:
+            batches = list(sorted_batches(shown[: len(shown) // size * size], size))
+            del shown[: len(batches) * size]
+            for i in rng.permutation(len(batches)):
+                yield batches[i]
 
 
 class Batches(Sampler[list[int]]):

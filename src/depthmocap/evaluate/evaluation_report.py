@@ -17,10 +17,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from depthmocap.evaluate.charts import joint_error_bars, precision_curve, reliability_diagram
-from depthmocap.evaluate.metrics import JointMetrics, Reliability
-from depthmocap.evaluate.report import Cell, ReportFigure, ReportSection, ReportTable, write_report
 from depthmocap.export.output import writing
+from depthmocap.report.charts import joint_error_bars, precision_curve, reliability_diagram
+from depthmocap.report.metrics import JointMetrics, Reliability
+from depthmocap.report.page import Cell, ReportFigure, ReportSection, ReportTable, write_report
 from depthmocap.settings import plain_settings
 
 Numbers = Mapping[str, Any]

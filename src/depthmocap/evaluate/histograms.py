@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Num
 from numpy import ndarray
 
-from depthmocap.evaluate.charts import _COLOURS, _figure, _label, _png
+from depthmocap.report.charts import COLOURS, as_png, name_axes, new_figure
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -28,10 +28,10 @@ class Histogram:
 
 def histogram_row(histograms: Sequence[Histogram]) -> bytes:
     """The histograms in one row, each as shares of its own total."""
-    figure, axes = _figure(2.9 * len(histograms), 2.3, len(histograms))
+    figure, axes = new_figure(2.9 * len(histograms), 2.3, len(histograms))
     for each, histogram in zip(axes, histograms, strict=True):
         shares = 100 * histogram.counts / max(histogram.counts.sum(), 1)
-        each.bar(histogram.edges[:-1], shares, np.diff(histogram.edges), align="edge", color=_COLOURS[1])
+        each.bar(histogram.edges[:-1], shares, np.diff(histogram.edges), align="edge", color=COLOURS[1])
         each.set_xlim(histogram.edges[0], histogram.edges[-1])
-        _label(each, histogram.title, "%" if each is axes[0] else "")
-    return _png(figure)
+        name_axes(each, histogram.title, "%" if each is axes[0] else "")
+    return as_png(figure)

@@ -11,9 +11,9 @@ from numpy import ndarray
 
 from depthmocap.body.regions import DISPLAY_COLOURS, REGION_COUNT, REGION_NAMES
 from depthmocap.errors import InputError
-from depthmocap.evaluate.charts import _COLOURS, _INK, _SOFT, _figure, _label, _png
 from depthmocap.evaluate.label_measures import Calibration
-from depthmocap.evaluate.pictures import colour_labels, depth_picture
+from depthmocap.report.charts import COLOURS, INK, SOFT, as_png, name_axes, new_figure
+from depthmocap.report.pictures import colour_labels, depth_picture
 
 _CELL, _GAP = 220, 4
 
@@ -21,38 +21,38 @@ _CELL, _GAP = 220, 4
 def region_bars(per_class_accuracy: Float[ndarray, " 43"]) -> bytes:
     """A bar per region in its colour: the share of its pixels labelled right; a region that does not occur has none."""
     shares = np.nan_to_num(per_class_accuracy) * 100
-    figure, (axes,) = _figure(8.4, 3.4)
+    figure, (axes,) = new_figure(8.4, 3.4)
     places = np.arange(REGION_COUNT)
-    axes.bar(places, shares, color=DISPLAY_COLOURS[1:] / 255, edgecolor=_SOFT, linewidth=0.4, width=0.8)
+    axes.bar(places, shares, color=DISPLAY_COLOURS[1:] / 255, edgecolor=SOFT, linewidth=0.4, width=0.8)
     axes.set_xticks(places, REGION_NAMES[1:], rotation=90, fontsize=6.5)
     axes.set_xlim(-0.7, REGION_COUNT - 0.3)
     axes.set_ylim(0, 100)
     known = per_class_accuracy[~np.isnan(per_class_accuracy)]
     if known.size:
-        axes.axhline(known.mean() * 100, color=_INK, linewidth=1, linestyle=(0, (4, 3)))
-        axes.set_title(f"mean {known.mean():.1%}", color=_SOFT, fontsize=9, loc="right")
-    _label(axes, "", "labelled right (%)")
-    return _png(figure)
+        axes.axhline(known.mean() * 100, color=INK, linewidth=1, linestyle=(0, (4, 3)))
+        axes.set_title(f"mean {known.mean():.1%}", color=SOFT, fontsize=9, loc="right")
+    name_axes(axes, "", "labelled right (%)")
+    return as_png(figure)
 
 
 def reliability_diagram(calibration: Calibration) -> bytes:
     """Share of right labels against the probability that the network gave them, and how many pixels have it."""
-    figure, (left, right) = _figure(8.0, 3.4, 2)
-    left.plot([0, 100], [0, 100], color=_SOFT, linewidth=1, linestyle=(0, (4, 3)))
+    figure, (left, right) = new_figure(8.0, 3.4, 2)
+    left.plot([0, 100], [0, 100], color=SOFT, linewidth=1, linestyle=(0, (4, 3)))
     rows = np.array(calibration.rows).reshape(-1, 3)
-    left.plot(rows[:, 1] * 100, rows[:, 2] * 100, color=_COLOURS[0], linewidth=2, marker="o", markersize=3.5)
+    left.plot(rows[:, 1] * 100, rows[:, 2] * 100, color=COLOURS[0], linewidth=2, marker="o", markersize=3.5)
     left.set_xlim(0, 100)
     left.set_ylim(0, 100)
     left.set_title(
-        f"expected calibration error {calibration.error * 100:.1f} points", color=_SOFT, fontsize=9, loc="right"
+        f"expected calibration error {calibration.error * 100:.1f} points", color=SOFT, fontsize=9, loc="right"
     )
-    _label(left, "probability (%)", "labelled right (%)")
+    name_axes(left, "probability (%)", "labelled right (%)")
     share = calibration.pixels / max(calibration.pixels.sum(), 1) * 100
     width = 100 / len(share)
-    right.bar((np.arange(len(share)) + 0.5) * width, share, width=0.9 * width, color=_COLOURS[1])
+    right.bar((np.arange(len(share)) + 0.5) * width, share, width=0.9 * width, color=COLOURS[1])
     right.set_xlim(0, 100)
-    _label(right, "probability (%)", "pixels (%)")
-    return _png(figure)
+    name_axes(right, "probability (%)", "pixels (%)")
+    return as_png(figure)
 
 
 #: Depth (m) of a view, the person's mask, the true and the predicted labels.

@@ -16,12 +16,12 @@ from rich.table import Table
 from depthmocap.body.regions import REGION_COUNT, REGION_NAMES, UNLABELLED
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError, missing_extra
-from depthmocap.evaluate.charts import confusion_picture
 from depthmocap.evaluate.label_charts import LabelExample, label_grid, region_bars, reliability_diagram
 from depthmocap.evaluate.label_measures import LEAST_PIXELS, PARTS, BorderAccuracy, Calibration, PartSwaps
-from depthmocap.evaluate.metrics import PixelAccuracy
-from depthmocap.evaluate.report import ReportFigure, ReportSection, ReportTable, write_report
 from depthmocap.frames import FrameSet, View
+from depthmocap.report.charts import confusion_picture
+from depthmocap.report.metrics import PixelAccuracy
+from depthmocap.report.page import ReportFigure, ReportSection, ReportTable, write_report
 from depthmocap.settings import check_seed
 
 

@@ -24,11 +24,11 @@ from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet
 from depthmocap.datasets.mhad import MHAD_JOINTS, MhadSet
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import Outputs, about, print_results, write_outputs
-from depthmocap.evaluate.metrics import joint_errors_cm
 from depthmocap.evaluate.observe import Observations, observe
 from depthmocap.evaluate.protocol import Refit, comparable, leave_one_out, measure_estimates
 from depthmocap.geometry.transforms import transform_points
 from depthmocap.pose.estimate import JointEstimator, load_estimator
+from depthmocap.report.metrics import joint_errors_cm
 
 #: A true hand is in the cloud if a point of it is this near: the breadth of a hand, and the error of both systems.
 HAND_REACH_M = 0.12

@@ -21,7 +21,6 @@ from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.evaluate.moving import FPS, clip_motions, moving_frames, prior_motions
-from depthmocap.evaluate.report import ReportSection, ReportTable, write_report
 from depthmocap.evaluate.temporal_metrics import TemporalMetrics, temporal_metrics
 from depthmocap.evaluate.tracks import Track, TrackStore, estimate_track
 from depthmocap.frames import Pose
@@ -29,6 +28,7 @@ from depthmocap.pose.estimate import load_estimator
 from depthmocap.pose.filter import PoseFilter
 from depthmocap.pose.sides import LIMBS, limb_joints
 from depthmocap.pose.track import AUTO, BONES_CHOICES, FILTERS, load_filter
+from depthmocap.report.page import ReportSection, ReportTable, write_report
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.sample import Split
 from depthmocap.synth.sensing.sensors import find_sensor

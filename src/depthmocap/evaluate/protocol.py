@@ -14,9 +14,9 @@ from jaxtyping import Float, Shaped
 from numpy import ndarray
 
 from depthmocap.errors import InputError
-from depthmocap.evaluate.metrics import JointMetrics, Reliability, joint_errors_cm, joint_metrics, reliability
 from depthmocap.evaluate.observe import Observations
 from depthmocap.evaluate.refit import fit_joints
+from depthmocap.report.metrics import JointMetrics, Reliability, joint_errors_cm, joint_metrics, reliability
 
 #: "ridge" fits the set's joints; "none" takes ours where they correspond.
 Refit = Literal["ridge", "none"]

@@ -13,10 +13,10 @@ from rich.progress import track
 
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import Outputs, about, print_results, write_outputs
-from depthmocap.evaluate.metrics import joint_errors_cm, joint_metrics, reliability
 from depthmocap.evaluate.protocol import joint_numbers
 from depthmocap.offline import load_pipeline, open_source
 from depthmocap.pose.track import Bones, Smoothing
+from depthmocap.report.metrics import joint_errors_cm, joint_metrics, reliability
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,10 +15,10 @@ from rich.console import Console
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import plain
-from depthmocap.evaluate.report import ReportSection, write_report
 from depthmocap.evaluate.reproduce_real import RealPart, reproduce_eval, reproduce_mhad
 from depthmocap.evaluate.reproduce_ubc3v import Ubc3vPart, reproduce_ubc3v
 from depthmocap.export.output import writing
+from depthmocap.report.page import ReportSection, write_report
 from depthmocap.settings import plain_settings
 
 Part = Callable[[Console], tuple[list[ReportSection], dict[str, Any]]]

@@ -20,12 +20,12 @@ from depthmocap.datasets.mhad import ACTIONS, MHAD_OURS, MhadSet
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import report_sections
 from depthmocap.evaluate.mhad import MhadResults, measure_mhad
-from depthmocap.evaluate.pictures import cloud_picture, labelled_depth_strip
-from depthmocap.evaluate.report import ReportFigure, ReportSection, ReportTable
 from depthmocap.evaluate.reproduce_ubc3v import pose_rows
 from depthmocap.geometry import z_up_from
 from depthmocap.pose.cloud import LabelledCloud, label_people, merge_views
 from depthmocap.pose.estimate import load_estimator
+from depthmocap.report.page import ReportFigure, ReportSection, ReportTable
+from depthmocap.report.pictures import cloud_picture, labelled_depth_strip
 
 #: Table III: error (cm), its deviation, share within 10 cm (%), by subjects and by actions.
 PAPER_MICHEL = {

@@ -16,9 +16,9 @@ from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import report_sections
 from depthmocap.evaluate.label_charts import LabelExample, label_grid
 from depthmocap.evaluate.labels import LabelQuality
-from depthmocap.evaluate.report import Cell, ReportFigure, ReportSection, ReportTable
 from depthmocap.evaluate.synthetic import Labels, measure
 from depthmocap.pose.estimate import load_estimator
+from depthmocap.report.page import Cell, ReportFigure, ReportSection, ReportTable
 
 SUBSETS = ("easy", "inter", "hard")
 #: Table II: pixels labelled right (%) on the validation sets, at the start and the end of each network's training.

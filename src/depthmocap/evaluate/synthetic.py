@@ -14,12 +14,12 @@ from rich.table import Table
 
 from depthmocap.body.regions import REGION_NAMES, UNLABELLED
 from depthmocap.classify.runtime import Classifier
-from depthmocap.evaluate.metrics import PixelAccuracy, joint_errors_cm, joint_metrics, reliability
 from depthmocap.evaluate.protocol import joint_numbers
 from depthmocap.frames import FrameSet, View
 from depthmocap.pose.cloud import LabelledView, merge_views
 from depthmocap.pose.cloud import Labels as Labels
 from depthmocap.pose.estimate import JointEstimator
+from depthmocap.report.metrics import PixelAccuracy, joint_errors_cm, joint_metrics, reliability
 
 
 def _network_labels(classifier: Classifier, views: list[View], accuracy: PixelAccuracy) -> Iterator[LabelledView]:

@@ -1,4 +1,4 @@
-"""Resampling between a sensor's picture and the network's square window, both ways, nearest pixel."""
+"""Resampling between a sensor's picture and the network's window, both ways, nearest pixel."""
 
 import numba
 import numpy as np
@@ -32,10 +32,9 @@ def gather(depth, mask, corner, left, top, step, centre_m, scale_m, out):
     pixel (i, j) reads the picture at ``(top + (i + 0.5)·step, left + (j + 0.5)·step)``, rounded down.
     """
     height, width = depth.shape
-    size = out.shape[1]
-    columns = np.floor(left + (np.arange(size) + 0.5) * step).astype(np.int64) - corner[1]
+    columns = np.floor(left + (np.arange(out.shape[2]) + 0.5) * step).astype(np.int64) - corner[1]
     first, last = np.searchsorted(columns, 0), np.searchsorted(columns, width)
-    for i in range(size):
+    for i in range(out.shape[1]):
         y = int(np.floor(top + (i + 0.5) * step)) - corner[0]
         if y < 0 or y >= height:
             continue
@@ -51,12 +50,11 @@ def gather(depth, mask, corner, left, top, step, centre_m, scale_m, out):
 def gather_labels(labels, left, top, step, out):
     """Labels of the picture in the window, by the same rule; ``out`` keeps what it held outside the picture."""
     height, width = labels.shape
-    size = out.shape[0]
-    for i in range(size):
+    for i in range(out.shape[0]):
         y = int(np.floor(top + (i + 0.5) * step))
         if y < 0 or y >= height:
             continue
-        for j in range(size):
+        for j in range(out.shape[1]):
             x = int(np.floor(left + (j + 0.5) * step))
             if 0 <= x < width:
                 out[i, j] = labels[y, x]
@@ -66,15 +64,15 @@ def gather_labels(labels, left, top, step, out):
 def scatter(window_labels, window_confidence, mask, left, top, step, out_labels, out_confidence):
     """Labels and confidences of the window at every masked pixel of the picture; both outputs zero before."""
     height, width = mask.shape
-    size = window_labels.shape[0]
+    rows, columns = window_labels.shape
     first = max(int(np.floor(top)), 0)
-    last = min(int(np.ceil(top + size * step)), height)
-    columns = np.empty(width, np.int64)
+    last = min(int(np.ceil(top + rows * step)), height)
+    column_of = np.empty(width, np.int64)
     for x in range(width):
-        columns[x] = min(max(int((x + 0.5 - left) / step), 0), size - 1)
+        column_of[x] = min(max(int((x + 0.5 - left) / step), 0), columns - 1)
     for y in range(first, last):
-        i = min(max(int((y + 0.5 - top) / step), 0), size - 1)
+        i = min(max(int((y + 0.5 - top) / step), 0), rows - 1)
         for x in range(width):
             if mask[y, x]:
-                out_labels[y, x] = window_labels[i, columns[x]]
-                out_confidence[y, x] = window_confidence[i, columns[x]]
+                out_labels[y, x] = window_labels[i, column_of[x]]
+                out_confidence[y, x] = window_confidence[i, column_of[x]]

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Float32
 from numpy import ndarray
 
 from depthmocap.body.regions import MIRROR, REGION, REGION_COUNT, REGION_NAMES
-from depthmocap.body.skeleton import JOINTS
+from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
 from depthmocap.body.skeleton import MIRROR as MIRRORED_JOINTS
 from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
@@ -51,6 +51,18 @@ _BACK = _regions(*(f"{name} {side}" for name in ("upper back", "lower back", "sh
 #: ``parts[..., MIRRORED, :]`` exchanges the sides.
 MIRRORED = np.concatenate([MIRROR[1:].astype(np.int64) - 1, REGION_COUNT + MIRRORED_JOINTS])
 assert len(REGION_NAMES) == REGION_COUNT + 1
+
+
+def _limb(regions: tuple[str, ...], joints: tuple[str, ...]) -> Bool[ndarray, "61"]:
+    found = np.zeros(PART_COUNT, bool)
+    found[_regions(*(f"{name} {side}" for name in regions for side in "RL"))] = True
+    found[[REGION_COUNT + JOINT_INDEX[side + name] for name in joints for side in "RL"]] = True
+    return found
+
+
+#: The parts that a classifier takes for those of the other side together: of the arms, of the legs.
+ARMS = _limb(("upper arm", "elbow", "forearm", "wrist", "hand"), ("Elbow", "Hand"))
+LEGS = _limb(("thigh", "knee", "shin", "ankle", "forefoot"), ("Knee", "Foot"))
 #: A joint with this error to expect has a probability of a half (metres).
 _TYPICAL_ERROR_M = 0.1
 #: A pair of regions of both sides is about so far apart (metres), to weigh it against what one side alone tells.

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from depthmocap.body.regions import REGION_COUNT
 from depthmocap.body.skeleton import JOINTS
-from depthmocap.pose.parts import CENTRE, COUNT, PART_COLUMNS, PART_COUNT
+from depthmocap.pose.parts import CENTRE, COUNT, MIRRORED, PART_COLUMNS, PART_COUNT
 
 _HIDDEN = -1e9
 #: Votes are told in units of so many metres.
@@ -32,10 +32,44 @@ class _Block(nn.Module):
         return x + self.each(self.between(x))
 
 
+class _Others(nn.Module):
+    """What the other cameras saw of a part, and all cameras of its mirror image, for the token of each camera's part:
+    whether they agree, or whether sides were taken for each other."""
+
+    def __init__(self, width: int, inner: int = 32) -> None:
+        super().__init__()
+        self.mine = nn.ModuleList(nn.Linear(width, inner) for _ in range(2))
+        self.theirs = nn.ModuleList(nn.Linear(width, inner) for _ in range(2))
+        self.between = nn.ModuleList(nn.Linear(4, inner) for _ in range(2))
+        self.out = nn.Linear(2 * inner, width)
+        self.mirrored: Tensor
+        self.register_buffer("mirrored", torch.from_numpy(MIRRORED), persistent=False)
+
+    def forward(self, tokens: Tensor, centres: Tensor, hidden: Tensor) -> Tensor:
+        # tokens (n, views, 61, width), centres (n, views, 61, 3), hidden (n, views, 61)
+        views = torch.arange(tokens.shape[1], device=tokens.device)
+        found = []
+        for i in range(2):
+            others, there, unseen = tokens, centres, hidden
+            if i:
+                others, there, unseen = (each.index_select(2, self.mirrored) for each in (others, there, unseen))
+            between = (there.unsqueeze(1) - centres.unsqueeze(2)) / _UNIT_M
+            far = (between.square().sum(-1, keepdim=True) + 1e-6).sqrt()
+            pairs = self.mine[i](tokens).unsqueeze(2) + self.theirs[i](others).unsqueeze(1)
+            pairs = nn.functional.gelu(pairs + self.between[i](torch.cat([between, far], -1)))
+            without = unseen.unsqueeze(1).expand(-1, tokens.shape[1], -1, -1)
+            if not i:
+                without = without | (views[:, None] == views).unsqueeze(-1)
+            most = pairs.masked_fill(without.unsqueeze(-1), _HIDDEN).amax(2)
+            found.append(torch.where(without.all(2).unsqueeze(-1), 0.0, most))
+        return self.out(torch.cat(found, -1))
+
+
 class VotesNet(nn.Module):
     """What cameras saw of regions to joints, all in the body's frame.
 
-    What several cameras saw of a part is weighed into one token. The tokens of the parts and one of each joint look
+    What each camera saw of a part is compared with what the others saw of it, and with the other parts it saw. Then
+    what several cameras saw of a part is weighed into one token. The tokens of the parts and one of each joint look
     at each other; then every seen part votes for every joint, as an offset from its centre, and each joint weighs
     the votes. Both have a part that is always the same, set from the samples' means (:meth:`start_from`), so that the
     rest has only the differences to learn. A joint has one vote of its own, relative to the frame, for when little was
@@ -49,6 +83,13 @@ class VotesNet(nn.Module):
         self.sizes = (width, layers, heads)
         self.look, self.look_at_joints = nn.Linear(PART_COLUMNS, width), nn.Linear(PART_COLUMNS, width)
         self.region = nn.Parameter(torch.randn(PART_COUNT, width) * 0.1)
+        self.others = _Others(width)
+        self.missed = nn.Parameter(torch.randn(PART_COUNT, width) * 0.1)
+        self.within = _Block(width, heads)
+        # At first, every camera is taken as it is.
+        for layer in (self.others.out, self.within.out, self.within.each[-1]):
+            nn.init.zeros_(layer.weight)  # pyright: ignore[reportArgumentType]
+            nn.init.zeros_(layer.bias)  # pyright: ignore[reportArgumentType]
         self.view = nn.Sequential(nn.GELU(), nn.Linear(width, width))
         self.trust = nn.Sequential(nn.GELU(), nn.Linear(width, 1))
         self.unseen = nn.Parameter(torch.randn(PART_COUNT, width) * 0.1)
@@ -79,6 +120,8 @@ class VotesNet(nn.Module):
         hidden = (parts[..., COUNT] == 0).unsqueeze(-1)
         regions, joints = parts.split([REGION_COUNT, len(JOINTS)], 2)
         looked = torch.cat([self.look(regions), self.look_at_joints(joints)], 2) + self.region
+        looked = looked + self.others(looked, parts[..., CENTRE], hidden.squeeze(-1))
+        looked = self.within(torch.where(hidden, self.missed, looked).flatten(0, 1)).unflatten(0, parts.shape[:2])
         weights = torch.softmax(self.trust(looked).masked_fill(hidden, _HIDDEN), 1)
         centre = (weights * parts[..., CENTRE]).sum(1)
         nobody = hidden.all(1)

@@ -27,8 +27,10 @@ from depthmocap.errors import InputError
 from depthmocap.pose.cloud import LABELS, Labels
 from depthmocap.pose.collect import Collected
 from depthmocap.pose.parts import (
+    ARMS,
     CENTRE,
     COVARIANCE,
+    LEGS,
     MIRRORED,
     PART_COLUMNS,
     PART_COUNT,
@@ -53,6 +55,9 @@ _TRUE_LABELS = 0.15
 _NO_JOINTS = 0.08
 #: Share of samples in which cameras stand a little elsewhere than they say.
 _MISPLACED = 0.5
+#: Share of a sample's cameras that take the arms, the legs or all of the body for those of the other side, besides
+#: those that do; where another camera can tell.
+_EXCHANGED = ((ARMS, 0.04), (LEGS, 0.02), (ARMS | True, 0.01))
 #: One in so many groups of postures is kept out, to tell how the training goes.
 _VALID_FOLDS = 20
 
@@ -77,8 +82,8 @@ class VotesTraining:
 def augment(
     rng: np.random.Generator, parts: Float32[ndarray, "n v 61 16"], joints: Float[ndarray, "n 18 3"]
 ) -> tuple[Float32[ndarray, "n v 61 16"], Float[ndarray, "n 18 3"]]:
-    """The same samples mirrored, seen by fewer cameras, by misplaced ones, with regions missing. Samples keep at least
-    one camera that sees something."""
+    """The same samples mirrored, seen by fewer cameras, by misplaced ones, by such as mistake sides, with regions
+    missing. Samples keep at least one camera that sees something."""
     n, views = parts.shape[:2]
     mirror = rng.random(n) < 0.5
     parts, joints = parts.copy(), joints.copy()
@@ -95,6 +100,11 @@ def augment(
     parts[rng.random(n) < _NO_JOINTS, :, REGION_COUNT:] = 0
     missing = rng.random(parts.shape[:3]) < rng.choice([0.0, 0.0, 0.05, 0.15], (n, 1, 1))
     parts[dropped[:, :, None] | missing] = 0
+
+    several = (parts[..., 0] > 0).any(-1).sum(1) > 1
+    for limb, share in _EXCHANGED:
+        exchanged = several[:, None] & (rng.random((n, views)) < share)
+        parts = np.where((exchanged[..., None] & limb)[..., None], parts[:, :, MIRRORED], parts)
 
     off = (rng.random(n) < _MISPLACED)[:, None]
     angle = rng.normal(0, 0.008, (n, views)) * off

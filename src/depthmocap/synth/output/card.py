@@ -100,7 +100,7 @@ def _facing(joints: Float[ndarray, "18 3"]) -> Float[ndarray, "2"]:
 
 def _thumbnails(sample: Sample) -> UInt8[ndarray, "_h _w 3"]:
     """Depth and below it labels of a sample's first view, small, cut to the person."""
-    from depthmocap.evaluate.pictures import labelled_depth_strip
+    from depthmocap.report.pictures import labelled_depth_strip
 
     view = sample.views[0]
     return labelled_depth_strip([view], [view.labels], _SHEET_WIDTH)[26:-6]  # without the camera's name
@@ -202,7 +202,7 @@ def write_card(folder: Path, title: str, facts: dict[str, Any], rows: Sequence[C
     Raises:
         InputError: when a file cannot be written.
     """
-    from depthmocap.evaluate.report import ReportFigure, ReportSection, ReportTable, write_report
+    from depthmocap.report.page import ReportFigure, ReportSection, ReportTable, write_report
 
     numbers = summary(rows)
     charts = [ReportFigure(chart, caption, chart=True) for chart, caption in _charts(rows)]

@@ -14,9 +14,12 @@ from PIL import Image
 from depthmocap.body.regions import DISPLAY_COLOURS, REGION
 from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
 from depthmocap.errors import InputError
-from depthmocap.evaluate.charts import confusion_picture, joint_error_bars, loss_curves, precision_curve
-from depthmocap.evaluate.metrics import joint_metrics
-from depthmocap.evaluate.pictures import (
+from depthmocap.frames import View
+from depthmocap.geometry import DepthCamera, z_up_from
+from depthmocap.report.charts import confusion_picture, joint_error_bars, loss_curves, precision_curve
+from depthmocap.report.metrics import joint_metrics
+from depthmocap.report.page import ReportFigure, ReportSection, ReportTable, write_report
+from depthmocap.report.pictures import (
     ESTIMATE_COLOUR,
     TRUTH_COLOUR,
     animation,
@@ -25,9 +28,6 @@ from depthmocap.evaluate.pictures import (
     depth_picture,
     labelled_depth_strip,
 )
-from depthmocap.evaluate.report import ReportFigure, ReportSection, ReportTable, write_report
-from depthmocap.frames import View
-from depthmocap.geometry import DepthCamera, z_up_from
 
 STANDING = np.array([[0.05 * i - 0.4, 0, 0.1 * i] for i in range(len(JOINTS))])
 

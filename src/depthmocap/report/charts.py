@@ -15,38 +15,38 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 from numpy import ndarray
 
 from depthmocap.body.regions import REGION_NAMES
-from depthmocap.evaluate.metrics import CURVE_THRESHOLDS_CM, JointMetrics, Reliability
+from depthmocap.report.metrics import CURVE_THRESHOLDS_CM, JointMetrics, Reliability
 
-_INK, _SOFT, _GRID = "#2a2f35", "#6b737c", "#e4e5e2"
-_COLOURS = ("#c4452f", "#2f6fb5", "#3f8f5b", "#8a5bb0", "#b8862b", "#4d5661")
+INK, SOFT, _GRID = "#2a2f35", "#6b737c", "#e4e5e2"
+COLOURS = ("#c4452f", "#2f6fb5", "#3f8f5b", "#8a5bb0", "#b8862b", "#4d5661")
 _DPI = 100
 _SCALE = 2
 
 
-def _figure(width: float, height: float, columns: int = 1) -> tuple[Figure, list[Axes]]:
+def new_figure(width: float, height: float, columns: int = 1) -> tuple[Figure, list[Axes]]:
     """A figure of a size in inches at 100 dots each, as shown, and its axes; without pyplot's global state."""
     figure = Figure(figsize=(width, height), dpi=_DPI * _SCALE, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     axes = [figure.add_subplot(1, columns, i + 1) for i in range(columns)]
     for each in axes:
         each.spines[["top", "right"]].set_visible(False)
-        each.spines[["left", "bottom"]].set_color(_SOFT)
-        each.tick_params(colors=_SOFT, labelsize=9, length=3)
+        each.spines[["left", "bottom"]].set_color(SOFT)
+        each.tick_params(colors=SOFT, labelsize=9, length=3)
         each.grid(axis="y", color=_GRID, linewidth=0.8)
         each.set_axisbelow(True)
     return figure, axes
 
 
-def _label(axes: Axes, x: str, y: str) -> None:
-    axes.set_xlabel(x, color=_INK, fontsize=10)
-    axes.set_ylabel(y, color=_INK, fontsize=10)
+def name_axes(axes: Axes, x: str, y: str) -> None:
+    axes.set_xlabel(x, color=INK, fontsize=10)
+    axes.set_ylabel(y, color=INK, fontsize=10)
 
 
 def _legend(axes: Axes) -> None:
-    axes.legend(frameon=False, fontsize=9, labelcolor=_INK)
+    axes.legend(frameon=False, fontsize=9, labelcolor=INK)
 
 
-def _png(figure: Figure) -> bytes:
+def as_png(figure: Figure) -> bytes:
     buffer = BytesIO()
     figure.savefig(buffer, format="png")
     return buffer.getvalue()
@@ -57,68 +57,68 @@ def joint_error_bars(metrics: JointMetrics) -> bytes:
     names = list(metrics.per_joint_error_cm)
     means = np.nan_to_num(np.array([metrics.per_joint_error_cm[name] for name in names]))
     deviations = np.nan_to_num(np.array([metrics.per_joint_deviation_cm[name] for name in names]))
-    figure, (axes,) = _figure(8.0, 3.4)
+    figure, (axes,) = new_figure(8.0, 3.4)
     # Only upwards: an error is never below zero.
     axes.bar(
-        names, means, color=_COLOURS[0], width=0.66,
-        yerr=[np.zeros(len(names)), deviations], error_kw={"ecolor": _SOFT, "elinewidth": 1.2, "capsize": 2.5},
+        names, means, color=COLOURS[0], width=0.66,
+        yerr=[np.zeros(len(names)), deviations], error_kw={"ecolor": SOFT, "elinewidth": 1.2, "capsize": 2.5},
     )  # fmt: skip
-    axes.axhline(metrics.mean_joint_error_cm, color=_INK, linewidth=1, linestyle=(0, (4, 3)))
+    axes.axhline(metrics.mean_joint_error_cm, color=INK, linewidth=1, linestyle=(0, (4, 3)))
     axes.set_xticks(range(len(names)), names, rotation=40, ha="right", rotation_mode="anchor")
     axes.set_xlim(-0.6, len(names) - 0.4)
-    axes.set_title(f"mean {metrics.mean_joint_error_cm:.2f} cm", color=_SOFT, fontsize=9, loc="right")
-    _label(axes, "", "error (cm)")
-    return _png(figure)
+    axes.set_title(f"mean {metrics.mean_joint_error_cm:.2f} cm", color=SOFT, fontsize=9, loc="right")
+    name_axes(axes, "", "error (cm)")
+    return as_png(figure)
 
 
 def precision_curve(metrics: Mapping[str, JointMetrics]) -> bytes:
     """Share of the joints within each distance of the truth, a curve per label."""
-    figure, (axes,) = _figure(6.4, 3.6)
+    figure, (axes,) = new_figure(6.4, 3.6)
     for i, (label, each) in enumerate(metrics.items()):
-        axes.plot(CURVE_THRESHOLDS_CM, np.array(each.curve) * 100, color=_COLOURS[i % 6], linewidth=2, label=label)
-    axes.axvline(10, color=_SOFT, linewidth=0.8, linestyle=(0, (4, 3)))
+        axes.plot(CURVE_THRESHOLDS_CM, np.array(each.curve) * 100, color=COLOURS[i % 6], linewidth=2, label=label)
+    axes.axvline(10, color=SOFT, linewidth=0.8, linestyle=(0, (4, 3)))
     axes.set_xlim(0, CURVE_THRESHOLDS_CM[-1])
     axes.set_ylim(0, 101)
-    _label(axes, "distance (cm)", "joints within it (%)")
+    name_axes(axes, "distance (cm)", "joints within it (%)")
     if any(metrics):
         _legend(axes)
-    return _png(figure)
+    return as_png(figure)
 
 
 def reliability_diagram(found: Mapping[str, Reliability]) -> bytes:
     """Share of the joints within 10 cm against their confidence, a line per label; marks grow with the joints in a
     bin."""
-    figure, (axes,) = _figure(4.6, 4.2)
-    axes.plot([0, 100], [0, 100], color=_SOFT, linewidth=0.8, linestyle=(0, (4, 3)))
+    figure, (axes,) = new_figure(4.6, 4.2)
+    axes.plot([0, 100], [0, 100], color=SOFT, linewidth=0.8, linestyle=(0, (4, 3)))
     for i, (label, each) in enumerate(found.items()):
         x, y, joints = np.array(each.confidence) * 100, np.array(each.within_10cm) * 100, np.array(each.joints)
         name = f"{label}: off by {each.calibration_error:.1%}" if joints.size else label
-        axes.plot(x, y, color=_COLOURS[i % 6], linewidth=1.4, label=name)
+        axes.plot(x, y, color=COLOURS[i % 6], linewidth=1.4, label=name)
         sizes = 12 + 120 * np.sqrt(joints / max(joints.sum(), 1))
-        axes.scatter(x, y, s=sizes, color=_COLOURS[i % 6], clip_on=False, zorder=3)
+        axes.scatter(x, y, s=sizes, color=COLOURS[i % 6], clip_on=False, zorder=3)
     axes.set_xlim(0, 101)
     axes.set_ylim(0, 101)
-    _label(axes, "confidence (%)", "joints within 10 cm (%)")
+    name_axes(axes, "confidence (%)", "joints within 10 cm (%)")
     if found:
         _legend(axes)
-    return _png(figure)
+    return as_png(figure)
 
 
 def confusion_picture(confusion: Integer[ndarray, "44 44"]) -> bytes:
     """Predicted regions of each true region, as shares of its pixels; a square root makes small ones visible."""
     totals = confusion.sum(1, keepdims=True)
     shares = np.divide(confusion, totals, out=np.zeros(confusion.shape), where=totals > 0)[1:]
-    figure, (axes,) = _figure(8.4, 7.6)
+    figure, (axes,) = new_figure(8.4, 7.6)
     image = axes.imshow(np.sqrt(shares), cmap="Blues", vmin=0, vmax=1, interpolation="nearest")
     axes.grid(False)
     axes.set_xticks(range(44), REGION_NAMES, rotation=90, fontsize=6.5)
     axes.set_yticks(range(43), REGION_NAMES[1:], fontsize=6.5)
-    _label(axes, "predicted", "true")
+    name_axes(axes, "predicted", "true")
     bar = figure.colorbar(image, ax=axes, shrink=0.5, pad=0.01, ticks=np.sqrt([0, 0.01, 0.1, 0.25, 0.5, 1]))
     bar.ax.set_yticklabels(["0", "1 %", "10 %", "25 %", "50 %", "100 %"])
-    bar.ax.tick_params(colors=_SOFT, labelsize=8)
+    bar.ax.tick_params(colors=SOFT, labelsize=8)
     bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
-    return _png(figure)
+    return as_png(figure)
 
 
 def loss_curves(history: Sequence[Mapping[str, Any]]) -> bytes:
@@ -126,7 +126,7 @@ def loss_curves(history: Sequence[Mapping[str, Any]]) -> bytes:
 
     An entry need not have every key (validation is rarer than training). Accuracies are shares, 0–1.
     """
-    figure, axes = _figure(8.4, 3.2, 2)
+    figure, axes = new_figure(8.4, 3.2, 2)
     keys = list(dict.fromkeys(key for entry in history for key in entry))
     for each, word, factor, name in ((axes[0], "loss", 1, "loss"), (axes[1], "accuracy", 100, "accuracy (%)")):
         for i, key in enumerate(key for key in keys if word in key):
@@ -135,10 +135,10 @@ def loss_curves(history: Sequence[Mapping[str, Any]]) -> bytes:
             marker = "o" if len(points) < 25 else ""
             steps, values = zip(*points, strict=True)
             label = key.replace("_", " ")
-            each.plot(steps, values, color=_COLOURS[i % 6], linewidth=1.6, marker=marker, markersize=3.5, label=label)
-        _label(each, "step", name)
+            each.plot(steps, values, color=COLOURS[i % 6], linewidth=1.6, marker=marker, markersize=3.5, label=label)
+        name_axes(each, "step", name)
         each.xaxis.set_major_locator(MaxNLocator(5))
         each.xaxis.set_major_formatter(EngFormatter(sep=""))
         if each.lines:
             _legend(each)
-    return _png(figure)
+    return as_png(figure)

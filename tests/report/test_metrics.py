@@ -8,7 +8,7 @@ import pytest
 from depthmocap.body.regions import REGION
 from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
 from depthmocap.errors import InputError
-from depthmocap.evaluate.metrics import CURVE_THRESHOLDS_CM, PixelAccuracy, joint_errors_cm, joint_metrics, reliability
+from depthmocap.report.metrics import CURVE_THRESHOLDS_CM, PixelAccuracy, joint_errors_cm, joint_metrics, reliability
 
 
 def test_joint_errors_are_distances_in_cm() -> None:
