@@ -22,8 +22,8 @@ from depthmocap.geometry import DepthCamera
 LEAST_PERSON_M2 = 0.12
 #: The person's surface is kept at moments this far apart (s), of so many points at most.
 MOMENT_S, _POINTS = 0.4, 400
-#: Pixels between points of the empty scene; the person is looked at more closely.
-_EVERY, _EVERY_PERSON = 4, 2
+#: So many points of the empty scene side by side; the person is looked at more closely.
+_ACROSS, _EVERY_PERSON = 160, 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Observation:
 
     def empty_surface(self) -> Surface:
         """Of the room."""
-        return surface_of(self.camera, self.empty_m, _EVERY)
+        return surface_of(self.camera, self.empty_m, max(round(self.camera.width / _ACROSS), 1))
 
 
 def observe(

@@ -22,8 +22,9 @@ LEAST_AGREED, LEAST_SHARE = 12, 0.3
 #: Errors within so many seconds are alike.
 BLOCK_S = 2.0
 _ROUNDS, _STILL = 12, 1e-5
-#: Poses and lateness take turns so often.
-_TURNS = 4
+#: Poses and lateness take turns, until no camera's changes by more than this (s), so often at most: for somebody who
+#: walks in a circle, a turn of the world is much like a shift in time.
+_SETTLED_S, _TURNS = 0.0005, 25
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -64,6 +65,8 @@ def place(tracks: Sequence[Track], rng: np.random.Generator) -> Placement:
         more_s, late_sigma_s = lateness(poses, seen)
         late_s = late_s + more_s
         seen = at_common_times(own, times_s, late_s)
+        if np.abs(more_s).max() < _SETTLED_S:
+            break
     return Placement(cameras, _solve(poses, seen), late_s, late_sigma_s, pairs, seen)
 
 

@@ -30,10 +30,10 @@ from depthmocap.offline import load_pipeline
 
 #: Where cameras stand (degrees around the middle).
 _AROUND: dict[str, tuple[float, ...]] = {
-    "2 cameras, 90° apart": (10.0, 100.0),
-    "2 cameras, opposite": (10.0, 190.0),
     "3 cameras": (10.0, 125.0, 245.0),
+    "2 cameras, opposite": (10.0, 190.0),
     "4 cameras": (10.0, 95.0, 190.0, 280.0),
+    "2 cameras, 90° apart": (10.0, 100.0),
 }
 
 
@@ -50,9 +50,9 @@ class Trial:
     """
 
     out: tyro.conf.Positional[Path]
-    repeats: int = 2
+    repeats: int = 1
     seconds: float = 20.0
-    rate_hz: float = 8.0
+    rate_hz: float = 5.0
     seed: int = 0
     only: str = ""
 
