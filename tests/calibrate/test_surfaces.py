@@ -23,18 +23,18 @@ AZIMUTHS = (5.0, 120.0, 250.0)
 
 
 def camera(pose=None) -> DepthCamera:
-    made = DepthCamera("cam", 192, 160, 130.0, 130.0, 95.5, 79.5)
+    made = DepthCamera("cam", 96, 80, 45.0, 45.0, 47.5, 39.5)
     return made if pose is None else dataclasses.replace(made, world_from_camera=pose)
 
 
 def test_a_wall_faces_the_camera_and_an_edge_has_no_direction():
-    depth = np.full((160, 192), 2.0, np.float32)
-    depth[:, 96:] = 3.0
-    surface = surface_of(camera(), depth, 2)
+    depth = np.full((80, 96), 2.0, np.float32)
+    depth[:, 48:] = 3.0
+    surface = surface_of(camera(), depth, 1)
     np.testing.assert_allclose(surface.normals, np.tile([0.0, 0.0, -1.0], (len(surface.normals), 1)), atol=1e-6)
-    columns = surface.points[:, 0] / surface.points[:, 2] * 130.0 + 95.5
+    columns = surface.points[:, 0] / surface.points[:, 2] * 45.0 + 47.5
     assert len(columns) > 3000
-    assert (np.abs(columns - 95.5) > 2).all()
+    assert (np.abs(columns - 47.5) > 2).all()
 
 
 def test_two_sides_of_a_board_are_not_the_same_thing():
@@ -68,14 +68,14 @@ def test_equations_give_the_motion_and_draws_its_uncertainty():
 
 @pytest.fixture(scope="module")
 def biased():
-    """Cameras in a room, whose skeletons all lie 3 cm too near to them."""
+    """Cameras in a room, whose skeletons all lie 2.5 cm too near to them."""
     rng = np.random.default_rng(1)
     poses = [stand(azimuth, height) for azimuth, height in zip(AZIMUTHS, (1.3, 1.7, 2.1), strict=True)]
     seen = []
     for pose in poses:
         empty = render_room(ROOM, camera(pose))
         own = track(pose, np.arange(0, 16, 0.2), rng, noise_m=0.02)
-        own = Track(own.times_s, own.joints - [0.0, 0.0, 0.03], own.sigma_m)
+        own = Track(own.times_s, own.joints - [0.0, 0.0, 0.025], own.sigma_m)
         seen.append(Observation(camera(), own, {}, empty, len(own.times_s)))
     return poses, seen
 

@@ -13,8 +13,9 @@ from depthmocap.calibrate.pairs import geman_mcclure
 from depthmocap.calibrate.solve import Rows
 from depthmocap.geometry import DepthCamera
 
-#: Directions are of pixels this far to either side, whose depth differs by less than this share of the depth.
-_APART, _STEP = 3, 0.04
+#: Directions are of pixels this far to either side; steeper steps between them than of a surface seen at 79° are edges
+#: (tangent).
+_APART, _STEEP = 3, 5.0
 #: Surfaces seen at more than 75° are too noisy (cosine).
 _GRAZING = 0.26
 #: Surfaces are the same only if they face the same way (cosine).
@@ -54,8 +55,9 @@ def surface_of(
     across, down = (right - left)[_APART:-_APART:every, ::every], (below - above)[::every, _APART:-_APART:every]
     smooth = known[inner]
     middle, after, before = slice(_APART, -_APART, every), slice(2 * _APART, None, every), slice(0, -2 * _APART, every)
+    edge = _STEEP * _APART / camera.fx * z[inner]
     for beside in ((middle, after), (middle, before), (after, middle), (before, middle)):
-        smooth &= known[beside] & (np.abs(z[beside] - z[inner]) < _STEP * z[inner])
+        smooth &= known[beside] & (np.abs(z[beside] - z[inner]) < edge)
     normals = np.cross(down[smooth], across[smooth])  # towards the camera
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     found = points[inner][smooth]
