@@ -50,7 +50,7 @@ def write_page(
     """Write the page; ``pictures`` are before and after."""
     good, fair = (f"{1e3 * metres:.0f} mm and {degrees:g}°" for metres, degrees in (GOOD, FAIR))
     explained = (
-        "± is how far a pair may be wrong (two standard deviations): in millimetres where the person was, in degrees "
+        "± is how far a pair may be wrong (three standard deviations): in millimetres where the person was, in degrees "
         f"between the cameras. Good is up to {good}, fair up to {fair}.",
         "Joints apart and turned tell how much the skeletons of two single views differ, pose by pose: mostly errors "
         "of single views, which many poses average out. Surface points are of walls, floor and person that both "
