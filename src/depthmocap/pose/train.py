@@ -35,6 +35,7 @@ class PoseTraining:
         estimators: which are fitted: votes (extra: train), ridge or all.
         minutes: how long the voting network is trained.
         start: a votes.safetensors that its training goes on from.
+        bfloat16: multiply matrices in half precision; some processors are faster without.
     """
 
     out: Path
@@ -42,6 +43,7 @@ class PoseTraining:
     estimators: Estimators = "all"
     minutes: float = 15.0
     start: Path | None = None
+    bfloat16: bool = True
 
 
 def train_pose(settings: PoseTraining, console: Console | None = None) -> list[Path]:
@@ -65,7 +67,7 @@ def train_pose(settings: PoseTraining, console: Console | None = None) -> list[P
     if settings.estimators != "ridge":
         from depthmocap.pose.votes_train import VotesTraining, train_votes
 
-        training = VotesTraining(minutes=settings.minutes, start=settings.start)
+        training = VotesTraining(minutes=settings.minutes, start=settings.start, bfloat16=settings.bfloat16)
         written.append(train_votes(samples, training, settings.source.seed, settings.out, console))
     return written
 

@@ -137,5 +137,6 @@ class VotesNet(nn.Module):
         own = self.own(joints)
         share = torch.softmax(torch.cat([heard, own[..., 3:]], -1), -1)
         place = self.usual_place + own[..., :3] * _UNIT_M
-        found = torch.einsum("njr,nrjc->njc", share[..., :-1], votes) + share[..., -1:] * place
+        # No product of matrices, which half precision would round to 4 mm.
+        found = (share[..., :-1, None] * votes.transpose(1, 2)).sum(2) + share[..., -1:] * place
         return found, self.sure(joints).squeeze(-1)
