@@ -13,7 +13,7 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.capture.recording import RecordingWriter
 from depthmocap.cli import main
 from depthmocap.export import read_bvh, read_csv, read_trc
-from depthmocap.geometry import DepthCamera, Rig, look_at
+from depthmocap.geometry import DepthCamera, Rig, load_rig, look_at, save_rig
 from depthmocap.synth.render import render_body
 
 #: Cameras of different sizes and makes around a person at the origin.
@@ -154,6 +154,34 @@ def test_bad_recordings_are_one_clear_line(recording, tmp_path, spoil, message, 
     import re
 
     assert re.search(message, printed), printed
+
+
+def test_another_rig_than_the_recordings(recording, tmp_path, capsys):
+    path = copy(recording, tmp_path)
+    rig = load_rig(path / "rig.json")
+    plain = run(RunSettings(path, tmp_path / "plain", segment="none", smooth="none", report=False))
+    # Nobody has told where the cameras stand ...
+    unplaced = [dataclasses.replace(camera, world_from_camera=np.eye(4)) for camera in rig.cameras]
+    save_rig(Rig(tuple(unplaced)), path / "rig.json")
+    command = ["run", str(path), "--out", str(tmp_path / "out"), "--segment", "none", "--no-report", "--smooth", "none"]
+    assert main(command) == 2
+    assert "depthmocap calibrate" in capsys.readouterr().err
+    # ... until a file does, of two cameras and of a world that is a metre off.
+    shift = np.eye(4)
+    shift[0, 3] = 1.0
+    moved = [dataclasses.replace(camera, world_from_camera=shift @ camera.world_from_camera) for camera in rig.cameras]
+    save_rig(Rig(tuple(moved[:2])), tmp_path / "found.json")
+    assert main([*command, "--rig", str(tmp_path / "found.json")]) == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["frames_by_camera"] == {"cam0": 6, "cam1": 6}
+    assert any("left out: cam2" in problem for problem in summary["problems"])
+    assert "error" in plain and "error" not in summary  # the truth is in another world
+    ours, theirs = (read_csv(tmp_path / name / "pose.csv")[1] for name in ("out", "plain"))
+    assert np.abs(np.median(ours - theirs, (0, 1)) - [1, 0, 0]).max() < 0.03
+    other = tmp_path / "other.json"
+    save_rig(Rig((dataclasses.replace(rig.cameras[0], name="else"),)), other)
+    assert main([*command, "--rig", str(other)]) == 2
+    assert "none of the rig's cameras" in capsys.readouterr().err
 
 
 def test_missing_recording(tmp_path, capsys):

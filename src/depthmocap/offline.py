@@ -25,6 +25,7 @@ from depthmocap.errors import InputError
 from depthmocap.export import CsvWriter, write_bvh, write_trc
 from depthmocap.export.files import PeopleFiles, plain_json
 from depthmocap.frames import FrameSet, FrameSource, Pose
+from depthmocap.geometry import check_placed, load_rig
 from depthmocap.offline_report import Pictures, write_run_report
 from depthmocap.people.segmenter import PeopleSegmenter
 from depthmocap.pipeline import STAGES, Pipeline, Result
@@ -39,6 +40,8 @@ class RunSettings:
 
     Attributes:
         recording: a recording folder (rig.json and 16-bit PNGs per camera), an MCAP file or a section of UBC3V.
+        rig: a rig.json that tells where the cameras stand, such as ``depthmocap calibrate`` writes, instead of what the
+            recording says.
         out: folder for pose.csv, pose.trc, pose.bvh, summary.json and report.html.
         segment: "auto" finds the person in a static scene; "none" takes every valid pixel.
         people: follow up to so many; with more than one, each has a folder ``person-N`` besides, and the files of
@@ -57,6 +60,7 @@ class RunSettings:
 
     recording: tyro.conf.Positional[Path]
     out: Path
+    rig: Path | None = None
     segment: Literal["auto", "none"] = "auto"
     people: int = 1
     smooth: Smoothing = "auto"
@@ -68,18 +72,21 @@ class RunSettings:
     report: bool = True
 
 
-def open_source(path: Path | str) -> FrameSource:
-    """A recording folder, an MCAP file or a UBC3V section, told apart by what they hold and by the name.
+def open_source(path: Path | str, rig: Path | None = None) -> FrameSource:
+    """A recording folder, an MCAP file or a UBC3V section, told apart by what they hold and by the name. ``rig`` is a
+    rig.json that tells where the cameras of a recording stand, instead of what it says.
 
     Raises:
-        InputError: when the path is neither.
+        InputError: when the path is neither, or the rig is not one of its cameras.
     """
     path = Path(path)
     if (path / "images" / "depthRender").is_dir() or (path / "groundtruth.mat").is_file():
         from depthmocap.datasets.ubc3v import Section
 
+        if rig is not None:
+            raise InputError("--rig is for recordings: a section of UBC3V tells its cameras' places frame by frame")
         return Section(path)
-    return open_recording(path)
+    return open_recording(path, None if rig is None else load_rig(rig))
 
 
 def load_pipeline(
@@ -100,6 +107,8 @@ def load_pipeline(
         InputError: when the recording or the weights cannot be read.
     """
     source = open_source(source) if isinstance(source, Path | str) else source
+    if isinstance(source, Recording):
+        check_placed(source.rig.cameras)
     if smooth == "auto":
         from depthmocap.datasets.ubc3v import Section
 
@@ -121,7 +130,7 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
         InputError: when the recording cannot be read, or no frame of it shows a person.
     """
     console = console or Console(stderr=True)
-    source = open_source(settings.recording)
+    source = open_source(settings.recording, settings.rig)
     try:
         settings.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

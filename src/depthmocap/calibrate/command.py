@@ -211,7 +211,7 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
         with writing(settings.json):
             settings.json.write_text(json.dumps(plain_json(_numbers(found)), indent=1) + "\n")
     _tell(found, [headline, *notes], console)
-    console.print(f"{settings.out} has the cameras, {page} the pictures. A recording's own rig.json is what run reads.")
+    console.print(f"{settings.out} has the cameras, {page} the pictures; run, live and record take it by --rig.")
     return found
 
 

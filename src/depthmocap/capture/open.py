@@ -8,14 +8,16 @@ from depthmocap.capture.mcap_recording import McapRecording
 from depthmocap.capture.mkv_recording import MkvRecording
 from depthmocap.capture.recording import Recording
 from depthmocap.errors import InputError
+from depthmocap.geometry import Rig
 
 _FILES: dict[str, type[Recording]] = {".mcap": McapRecording, ".mkv": MkvRecording}
 #: Files that are played like cameras, by back ends.
 _BY_SDK = {".oni": "openni", ".bag": "orbbec"}
 
 
-def open_recording(path: Path) -> Recording:
-    """An MCAP file or an Azure Kinect's MKV file, by the end of its name, or a recording folder.
+def open_recording(path: Path, rig: Rig | None = None) -> Recording:
+    """An MCAP file or an Azure Kinect's MKV file, by the end of its name, or a recording folder; its
+    cameras stand where ``rig`` says, if one is given.
 
     Raises:
         InputError: when it is none.
@@ -25,4 +27,4 @@ def open_recording(path: Path) -> Recording:
             f"{path} is read by its camera's SDK: name it as a camera, as in "
             f"depthmocap record {back_end}:{path} --out take.mcap"
         )
-    return _FILES.get(path.suffix.lower(), Recording)(path)
+    return _FILES.get(path.suffix.lower(), Recording)(path, rig)

@@ -23,6 +23,7 @@ from jaxtyping import Float, UInt16
 from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINTS
+from depthmocap.capture.source import place
 from depthmocap.capture.stamps import check_clocks, fill_gaps, frame_period_ns, group_stamps
 from depthmocap.errors import InputError
 from depthmocap.export.csv import read_csv
@@ -111,8 +112,12 @@ class Recording:
         period_ns: the frame period.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, rig: Rig | None = None) -> None:
         """Open a recording, check its first frames and read its background frames.
+
+        Args:
+            rig: where its cameras stand, instead of what the recording says; those that it lacks are left out, and the
+                true joints too, which are in another world.
 
         Raises:
             InputError: when it is not a recording or its configuration cannot be right.
@@ -120,6 +125,8 @@ class Recording:
         self.path = path
         self._problems: dict[str, None] = {}  # an ordered set: reading a frame twice reports it once
         self.rig, self._stamps = self._load()
+        if rig is not None:
+            self._place(rig)
         self.up: str = self.rig.up
         stamps = {name: own for name, own in self._stamps.items() if own}
         for name in self.rig.names:
@@ -133,7 +140,7 @@ class Recording:
         self._sets, gaps = fill_gaps(group_stamps(stamps, self.period_ns), self.period_ns)
         for gap in gaps:
             self._note(f"{path}: {gap}")
-        self._truth = self._place_truth(self._load_truth())
+        self._truth = self._place_truth(self._load_truth() if rig is None else None)
 
     def _load(self) -> tuple[Rig, dict[str, list[int]]]:
         """The rig, and each camera's timestamps in order; at least one camera has a frame."""
@@ -155,6 +162,16 @@ class Recording:
             if folder.is_dir() and folder.name not in rig.names and next(folder.glob("*.png"), None):
                 self._note(f"{folder} is not read: rig.json has no camera of that name")
         return rig, {name: list(files) for name, files in self._files.items()}
+
+    def _place(self, rig: Rig) -> None:
+        """Keep the cameras of a rig, where it places them."""
+        if missing := [name for name in self.rig.names if name not in rig.names]:
+            if len(missing) == len(self.rig.cameras):
+                raise InputError(f"{self.path} has none of the rig's cameras ({', '.join(rig.names)}), but {missing}")
+            self._note(f"{self.path}: cameras that the rig lacks are left out: {', '.join(missing)}")
+        kept = (place(camera, rig) for camera in self.rig.cameras if camera.name in rig.names)
+        self.rig = Rig(tuple(kept), rig.up)
+        self._stamps = {name: self._stamps[name] for name in self.rig.names}
 
     def stamps(self, name: str) -> list[int]:
         """The timestamps (ns) of a camera's frames in order, on the clock that all cameras share."""

@@ -1,6 +1,6 @@
 """Rigid transforms, depth cameras and rigs."""
 
-from depthmocap.geometry.cameras import DepthCamera, Rig, load_rig, save_rig
+from depthmocap.geometry.cameras import DepthCamera, Rig, check_placed, load_rig, save_rig
 from depthmocap.geometry.transforms import (
     is_rigid,
     look_at,
@@ -13,6 +13,7 @@ from depthmocap.geometry.transforms import (
 __all__ = [
     "DepthCamera",
     "Rig",
+    "check_placed",
     "is_rigid",
     "load_rig",
     "look_at",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -121,9 +122,9 @@ class Rig:
 def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
     where = f"{path}: camera {index}"
     if not isinstance(entry, dict):
-        raise InputError(f"{where} must be an object with name, width, height, fx, fy, cx, cy, world_from_camera")
+        raise InputError(f"{where} must be an object with name, width, height, fx, fy, cx, cy")
     where = f"{path}: camera {entry.get('name', index)!r}"
-    required = ("name", "width", "height", "fx", "fy", "cx", "cy", "world_from_camera")
+    required = ("name", "width", "height", "fx", "fy", "cx", "cy")
     if absent := [key for key in required if key not in entry]:
         raise InputError(f"{where} lacks {', '.join(absent)}")
     try:
@@ -133,7 +134,7 @@ def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
             raise ValueError(f"width {entry['width']!r} and height {entry['height']!r} must be whole numbers")
         unit = float(entry.get("depth_unit_m", 0.001))
         distortion = [float(k) for k in entry.get("distortion", [0.0] * 5)]
-        pose = np.array(entry["world_from_camera"], dtype=np.float64)
+        pose = np.array(entry.get("world_from_camera", np.eye(4)), dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{where} has a value that is not a number: {error}") from None
     if min(width, height) < 1 or min(numbers["fx"], numbers["fy"], unit) <= 0:
@@ -156,8 +157,25 @@ def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
     )  # fmt: skip
 
 
+def check_placed(cameras: Iterable[DepthCamera]) -> None:
+    """See that nobody has left out to tell where the cameras stand.
+
+    Raises:
+        InputError: when two of them have the same pose.
+    """
+    by_pose: dict[bytes, str] = {}
+    for camera in cameras:
+        other = by_pose.setdefault(camera.world_from_camera.round(6).tobytes(), camera.name)
+        if other != camera.name:
+            raise InputError(
+                f"cameras {other!r} and {camera.name!r} have the same place: nobody has told where they stand. "
+                "Record one person who walks about, then: depthmocap calibrate RECORDING --out rig.json; "
+                "run, record and live take it by --rig"
+            )
+
+
 def load_rig(path: Path) -> Rig:
-    """Read ``rig.json``.
+    """Read ``rig.json``. A camera without ``world_from_camera`` is at the origin (see :func:`check_placed`).
 
     Raises:
         InputError: when the file is missing or malformed, a pose is not rigid, or two cameras share a name.

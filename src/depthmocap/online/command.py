@@ -21,7 +21,7 @@ from depthmocap.capture.sync import SyncSettings
 from depthmocap.errors import InputError
 from depthmocap.export.files import PeopleFiles, PoseFiles
 from depthmocap.frames import Pose
-from depthmocap.geometry import Rig, load_rig
+from depthmocap.geometry import Rig, check_placed, load_rig
 from depthmocap.online.dashboard import draw_dashboard
 from depthmocap.online.live import LiveCapture, Replay, Segment
 from depthmocap.online.recorder import McapRecorder
@@ -107,10 +107,9 @@ def _capture(settings: LiveSettings, console: Console) -> LiveCapture | Replay:
     rig = load_rig(settings.rig) if settings.rig else None
     sync = SyncSettings(settings.rate_hz or 30.0, settings.wait_ms, triggered=settings.triggered)
     if not settings.realtime and len(settings.sources) == 1 and Path(settings.sources[0]).exists():
-        if rig is not None:
-            raise InputError("--rig needs --realtime: played as fast as it goes, a recording has its own rig")
         with console.status("reading the background and the weights"):
-            recording = open_recording(Path(settings.sources[0]))
+            recording = open_recording(Path(settings.sources[0]), rig)
+            check_placed(recording.rig.cameras)
             sync = dataclasses.replace(sync, rate_hz=settings.rate_hz or 1e9 / recording.period_ns)
             return Replay(recording, None, sync, settings.segment, settings.smooth, settings.people, settings.bones)
     sources = make_sources(settings.sources, Pace(1.0))

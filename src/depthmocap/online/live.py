@@ -16,8 +16,9 @@ from depthmocap.capture.recorded import Pace
 from depthmocap.capture.recording import Recording
 from depthmocap.capture.source import DepthSource
 from depthmocap.capture.sync import SyncedSet, SyncSettings
+from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, Pose
-from depthmocap.geometry import Rig, load_rig
+from depthmocap.geometry import Rig, check_placed, load_rig
 from depthmocap.offline import load_pipeline
 from depthmocap.online.gather import Gatherer
 from depthmocap.online.intake import Intake, frame_set, recorded_frames
@@ -99,9 +100,14 @@ class LiveCapture:
         """Open the cameras.
 
         Raises:
-            InputError: when none can be opened.
+            InputError: when none can be opened, or nobody has told where they stand.
         """
         self.gatherer.__enter__()
+        try:
+            check_placed(self.gatherer.cameras.values())
+        except InputError:
+            self.gatherer.stop()
+            raise
         return self
 
     def __exit__(self, *failure: object) -> None:
