@@ -54,7 +54,7 @@ class FastNet(nn.Module):
 
     ``forward`` gives the probabilities ``(m, 4, 44)`` of the classes in those 2×2 groups of pixels that show some of
     the person, window after window in row-major order: pixel ``k`` of a group is at its row ``k // 2``, column
-    ``k % 2``. A person fills a sixth of a window, and nothing is made for the rest. And it gives the joints
+    ``k % 2``. A person fills a quarter of a window, and nothing is made for the rest. And it gives the joints
     ``(n, 18, 4)``: their places in the window (see ``Window.places_from_world``) and the logarithm of the error to
     expect, both of metres.
 
@@ -140,7 +140,7 @@ def masked_outputs(network: Network, x: Tensor, labels: Tensor, mask: Tensor) ->
     """Logits (m, 44) and labels (m,) of the masked pixels alone, and the joints (n, 18, 4) of a network that tells
     them.
 
-    Ours never makes its head's output for the rest: a person fills a sixth of a window. The paper's last layer covers
+    Ours never makes its head's output for the rest: a person fills a quarter of a window. The paper's last layer covers
     19×19 pixels and makes them all.
 
     Args:
