@@ -113,7 +113,7 @@ class RollingRecorder:
         """Add a frame, from any thread."""
         with self._lock:
             self.offered[frame.camera] += 1
-            if self.offered.total() >= FRAMES_A_FILE * self._made:
+            if self.offered.total() > FRAMES_A_FILE * self._made:
                 self._begin()
             recorder = self._files[-1][1]
         recorder.write(frame)
