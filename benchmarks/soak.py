@@ -37,8 +37,8 @@ from depthmocap.online.live import EmptyScenes, LiveCapture, warm
 from depthmocap.online.recorder import McapRecorder
 from depthmocap.pipeline import Pipeline
 
-#: Memory counts from here on (or from half of a shorter run), and is looked at so often. For the first quarter of an hour
-#: every kind of fault that comes for the first time takes some buffers more.
+#: Memory counts from here on (or from half of a shorter run), and is looked at so often. For the first quarter of an
+#: hour every kind of fault that comes for the first time takes some buffers more.
 WARM_UP_S, LOOK_S = 900.0, 5.0
 #: A recording goes on in a new file after so many frames, and the file before is deleted: 30 minutes would need 40 GB.
 FRAMES_A_FILE = 8_000
