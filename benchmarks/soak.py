@@ -28,13 +28,13 @@ from rich.table import Table
 from depthmocap.capture.mcap_recording import McapRecording
 from depthmocap.capture.mcap_writer import McapWriter
 from depthmocap.capture.open import open_recording
+from depthmocap.capture.recorder import McapRecorder
 from depthmocap.capture.simulator import Faults, RecordedScene, SimulatedCamera, Simulation
 from depthmocap.capture.source import DepthFrame
 from depthmocap.capture.sync import SyncSettings
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.offline import load_pipeline
 from depthmocap.online.live import EmptyScenes, LiveCapture, warm
-from depthmocap.online.recorder import McapRecorder
 from depthmocap.pipeline import Pipeline
 
 #: Memory counts from here on (or from half of a shorter run), and is looked at so often. For the first quarter of an

@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from depthmocap.calibrate.pairs import geman_mcclure
 from depthmocap.calibrate.solve import Rows
-from depthmocap.geometry import DepthCamera
+from depthmocap.geometry import DepthCamera, transform_points
 
 #: Directions are of pixels this far to either side; steeper steps between them than of a surface seen at 79° are edges
 #: (tangent).
@@ -31,8 +31,8 @@ class Surface:
 
     def seen_from(self, world_from_camera: Float[ndarray, "4 4"]) -> Surface:
         """The same in the world."""
-        rotation, place = world_from_camera[:3, :3], world_from_camera[:3, 3]
-        return Surface(self.points @ rotation.T + place, self.normals @ rotation.T)
+        normals = self.normals @ world_from_camera[:3, :3].T
+        return Surface(transform_points(world_from_camera, self.points), normals)
 
     def thinned(self, most: int) -> Surface:
         """Evenly chosen points, so many at most."""

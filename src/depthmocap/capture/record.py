@@ -16,8 +16,9 @@ from rich.table import Table
 
 from depthmocap.capture.cameras import make_sources
 from depthmocap.capture.depth_codec import Coding
-from depthmocap.capture.mcap_writer import SHARED_CLOCK, McapWriter
+from depthmocap.capture.mcap_writer import McapWriter
 from depthmocap.capture.recorded import Pace
+from depthmocap.capture.recorder import McapRecorder
 from depthmocap.capture.recording import UnfitFrameError
 from depthmocap.capture.source import CameraError, DepthSource, NoFrame, place, unsourced
 from depthmocap.errors import InputError
@@ -117,7 +118,7 @@ def _open(
 def _record(sources: list[DepthSource], writer: McapWriter, seconds: float | None, console: Console) -> dict[str, Any]:
     counts = {source.name: _Count() for source in sources}
     stop, fault = threading.Event(), list[InputError]()
-    day_ns = time.time_ns() - time.monotonic_ns()
+    recorder = McapRecorder(writer, {})
 
     def run(source: DepthSource, count: _Count) -> None:
         while not stop.is_set():
@@ -131,10 +132,8 @@ def _record(sources: list[DepthSource], writer: McapWriter, seconds: float | Non
             if frame is None:
                 count.state = "at its end"
                 return
-            shared = frame.clock == SHARED_CLOCK
-            arrival_ns = frame.timestamp_ns if shared else frame.arrival_ns + day_ns
             try:
-                writer.write(frame.camera, frame.timestamp_ns, frame.raw, arrival_ns, frame.clock)
+                recorder.write(frame)
             except UnfitFrameError:
                 count.lost += 1
                 continue

@@ -17,14 +17,14 @@ from depthmocap.capture.cameras import make_sources
 from depthmocap.capture.mcap_writer import McapWriter
 from depthmocap.capture.open import open_recording
 from depthmocap.capture.recorded import Pace
+from depthmocap.capture.recorder import McapRecorder
 from depthmocap.capture.sync import SyncSettings
 from depthmocap.errors import InputError
 from depthmocap.export.files import PeopleFiles, PoseFiles
 from depthmocap.frames import Pose
-from depthmocap.geometry import Rig, check_placed, load_rig
+from depthmocap.geometry import Rig, load_rig
 from depthmocap.online.dashboard import draw_dashboard
 from depthmocap.online.live import LiveCapture, Replay, Segment
-from depthmocap.online.recorder import McapRecorder
 from depthmocap.pose.track import Bones, Smoothing
 
 #: The dashboard is drawn so often.
@@ -109,7 +109,6 @@ def _capture(settings: LiveSettings, console: Console) -> LiveCapture | Replay:
     if not settings.realtime and len(settings.sources) == 1 and Path(settings.sources[0]).exists():
         with console.status("reading the background and the weights"):
             recording = open_recording(Path(settings.sources[0]), rig)
-            check_placed(recording.rig.cameras)
             sync = dataclasses.replace(sync, rate_hz=settings.rate_hz or 1e9 / recording.period_ns)
             return Replay(recording, None, sync, settings.segment, settings.smooth, settings.people, settings.bones)
     sources = make_sources(settings.sources, Pace(1.0))

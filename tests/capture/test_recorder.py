@@ -11,12 +11,12 @@ pytest.importorskip("foxglove")
 
 from depthmocap.capture.mcap_recording import McapRecording
 from depthmocap.capture.mcap_writer import McapWriter
+from depthmocap.capture.recorder import McapRecorder
 from depthmocap.capture.simulator import SimulatedCamera, Simulation
 from depthmocap.capture.sync import SyncSettings
 from depthmocap.errors import InputError
 from depthmocap.geometry import Rig
 from depthmocap.online.live import LiveCapture
-from depthmocap.online.recorder import McapRecorder
 
 
 def test_a_camera_that_comes_later_is_in_the_recording(tmp_path, virtual):
