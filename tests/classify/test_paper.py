@@ -22,6 +22,8 @@ from depthmocap.synth.render import render_body
 
 torch = pytest.importorskip("torch")
 
+from torch import nn  # noqa: E402
+
 from depthmocap.classify.networks import CLASSES, NETWORKS, masked_outputs  # noqa: E402
 from depthmocap.classify.paper import PaperNet  # noqa: E402
 
@@ -86,18 +88,34 @@ def test_dropout_is_of_training_alone() -> None:
 
 def test_masked_outputs(network: PaperNet) -> None:
     x = torch.rand(2, 2, 250, 250)
-    mask = torch.rand(2, 250, 250) < 0.01
-    labels = torch.arange(2 * 250 * 250).reshape(2, 250, 250)
+    labels = torch.randint(0, CLASSES, (2, 250, 250))
     with torch.no_grad():
-        chosen, truth, _ = masked_outputs(network, x, labels, mask)
         full = network(x)
-    assert torch.equal(truth, labels[mask])
-    place = (1, 17, 201)
-    mask = torch.zeros_like(mask)
-    mask[place] = True
-    with torch.no_grad():
-        assert torch.equal(masked_outputs(network, x, labels, mask)[0][0], full[place[0], :, place[1], place[2]])
-    assert chosen.shape == (len(truth), CLASSES)
+        for place in ((0, 0, 0), (1, 17, 201), (1, 249, 249)):
+            mask = torch.zeros(2, 250, 250, dtype=torch.bool)
+            mask[place] = True
+            chosen, truth, _ = masked_outputs(network, x, labels, mask)
+            torch.testing.assert_close(chosen, full[place[0], None, :, place[1], place[2]], rtol=0, atol=1e-5)
+            assert truth == labels[place]
+        mask = torch.rand(2, 250, 250) < 0.3
+        chosen, truth, _ = masked_outputs(network, x, labels, mask)
+    assert chosen.shape == (mask.sum(), CLASSES)
+    entropy = nn.functional.cross_entropy(full.permute(0, 2, 3, 1)[mask], labels[mask])
+    torch.testing.assert_close(nn.functional.cross_entropy(chosen, truth.long()), entropy)
+
+
+def test_squares_train_as_the_transposed_convolution_does() -> None:
+    torch.manual_seed(0)
+    network = PaperNet().eval()
+    x = torch.rand(1, 2, 250, 250)
+    network(x).square().sum().backward()
+    assert network.up1.weight.grad is not None
+    expected = network.up1.weight.grad.clone()
+    network.zero_grad()
+    n, rows, columns, _, classes = (squares := network.squares(x)).shape
+    scores = squares.unflatten(3, (7, 7)).permute(0, 5, 1, 3, 2, 4).reshape(n, classes, rows * 7, columns * 7)
+    scores[..., :250, :250].square().sum().backward()
+    torch.testing.assert_close(network.up1.weight.grad, expected, rtol=1e-4, atol=1e-3)
 
 
 def test_both_networks_have_names_and_inputs() -> None:

@@ -140,8 +140,8 @@ def masked_outputs(network: Network, x: Tensor, labels: Tensor, mask: Tensor) ->
     """Logits (m, 44) and labels (m,) of the masked pixels alone, and the joints (n, 18, 4) of a network that tells
     them.
 
-    Ours never makes its head's output for the rest: a person fills a quarter of a window. The paper's last layer covers
-    19×19 pixels and makes them all.
+    Ours never makes its head's output for the rest: a person fills a quarter of a window. The paper's makes them all,
+    square after square.
 
     Args:
         x: (n, c, h, w) windows.
@@ -149,7 +149,12 @@ def masked_outputs(network: Network, x: Tensor, labels: Tensor, mask: Tensor) ->
         mask: (n, h, w) bool.
     """
     if isinstance(network, PaperNet):
-        return network(x).permute(0, 2, 3, 1)[mask], labels[mask], None
+        side = network.up1.stride[0]
+        beyond = [0, -mask.shape[-1] % side, 0, -mask.shape[-2] % side]
+        squares = [nn.functional.pad(each[:, None].to(torch.uint8), beyond) for each in (mask, labels)]
+        mask, labels = (nn.functional.pixel_unshuffle(each, side).permute(0, 2, 3, 1).flatten() for each in squares)
+        pixels = mask.nonzero()[:, 0]
+        return network.squares(x).flatten(0, 3).index_select(0, pixels), labels.index_select(0, pixels), None
     fine, coarse = network.features(x)
     mask4 = nn.functional.pixel_unshuffle(mask[:, None].to(torch.uint8), 2).permute(0, 2, 3, 1).reshape(-1, 4)
     labels4 = nn.functional.pixel_unshuffle(labels[:, None], 2).permute(0, 2, 3, 1).reshape(-1, 4)
