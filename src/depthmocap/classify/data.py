@@ -77,8 +77,8 @@ class Spoiling:
     truncate: float = 0.12
     scene: float = 0.4
     floor: float = 0.4
-    objects: float = 0.8
-    second: float = 0.3
+    objects: float = 0.6
+    second: float = 0.2
     occlude: float = 0.08
     erode: float = 0.1
 

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from depthmocap.body.hands import random_grip, with_hands
 from depthmocap.body.model import BodyModel, Phenotype
 from depthmocap.synth.people.garments import DressedBody, clothe
 from depthmocap.synth.people.wardrobe import ORDINARY_CLOTHES, random_clothes
@@ -50,6 +51,7 @@ def random_dressed(
     rng: np.random.Generator, subset: Literal["easy", "inter", "hard", "open"], held_out: bool = False
 ) -> DressedBody:
     """A dressed body of a subset: easy and inter have one character, hard sixteen (kept once made), open any.
+    Hands are open in the first three, and do anything in the last.
 
     Args:
         held_out: always in the family of garments that is kept out of training; otherwise never.
@@ -58,6 +60,8 @@ def random_dressed(
         return _character(0, held_out)
     if subset == "hard":
         return _character(int(rng.integers(len(sixteen_characters()))), held_out)
+    # Of a generator of its own, so that a seed's people are the same whatever their hands do.
+    (hands_rng,) = rng.spawn(1)
     phenotype = random_phenotype(rng)
-    body = BodyModel.load().shape(phenotype)
+    body = with_hands(BodyModel.load().shape(phenotype), random_grip(hands_rng), random_grip(hands_rng))
     return clothe(body, random_clothes(rng, held_out, phenotype.gender), rng)

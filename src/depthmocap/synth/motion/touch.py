@@ -1,0 +1,159 @@
+"""Hands laid on the body: folded arms, hands on hips, in the lap, at the chin, behind the back.
+
+People who stand and talk touch themselves all the time; people who perform for motion capture hardly do, since markers
+would be hidden. So arms are bent towards a random point of the skin by inverse kinematics, as a variation of postures.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from depthmocap.body.model import Body, BodyModel, Phenotype
+from depthmocap.body.posture import POSTURE_INDEX, local_rotations, world_rotations
+from depthmocap.body.regions import REGION
+from depthmocap.synth.motion.limits import within_limits
+
+#: Where hands go and how often: regions of the right hand's own side and of the other (R and L exchanged for the left).
+_PLACES: tuple[tuple[float, tuple[str, ...]], ...] = (
+    (0.22, ("belly R", "lower back R", "thigh R")),
+    (0.15, ("belly R", "belly L", "chest R", "chest L")),
+    (0.25, ("upper arm L", "elbow L", "forearm L", "wrist L", "hand L")),
+    (0.12, ("face R", "face L", "hair R", "forehead", "neck front", "nape")),
+    (0.1, ("chest L", "shoulder front L", "collar L", "shoulder front R", "collar R")),
+    (0.08, ("lower back R", "lower back L")),
+    (0.08, ("thigh R", "thigh L", "knee R", "knee L", "shin R")),
+)
+#: Targets tried for an arm before it is left as it was.
+_TRIES = 6
+#: The palm lies between the wrist and this far beyond it (metres), and the wrist so far above the skin.
+_PALM_M, _ABOVE_M = 0.09, (0.03, 0.09)
+#: Half axes (metres) of the trunk, which arms do not pass through.
+_TRUNK_M = np.array([0.15, 0.1])
+
+
+class _Skin:
+    """Points of the default body's skin, by region, with their normals and the posture bones that carry them."""
+
+    def __init__(self) -> None:
+        model = BodyModel.load()
+        self.body: Body = model.shape(Phenotype())
+        corners = self.body.rest_vertices[model.faces].astype(np.float64)
+        self.points = corners.mean(1)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        self.normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        self.bones = model.skin_indices[model.faces[:, 0], 0]
+        self.chain = {
+            side: [model.bone_names.index(f"{bone}.{side}") for bone in ("upperarm01", "lowerarm01", "wrist")]
+            for side in "RL"
+        }
+        self.fingers = {
+            side: self.body.rest_heads[model.bone_names.index(f"finger3-1.{side}")] - self.body.rest_heads[wrist]
+            for side, (_, _, wrist) in self.chain.items()
+        }
+        self.pelvis, self.neck = (model.bone_names.index(bone) for bone in ("root", "neck01"))
+        regions = np.asarray(model.face_regions)
+        #: Triangles of every place, for the hand of a side.
+        self.faces = {
+            side: [
+                np.flatnonzero(np.isin(regions, [REGION[_of(side, name)] for name in names])) for _, names in _PLACES
+            ]
+            for side in "RL"
+        }
+
+
+def _of(side: str, name: str) -> str:
+    """A region of the right hand's table as the hand of a side has it."""
+    own, _, of = name.rpartition(" ")
+    return f"{own} {'RL'['LR'.index(of)]}" if side == "L" and of in ("R", "L") else name
+
+
+@functools.cache
+def _skin() -> _Skin:
+    return _Skin()
+
+
+def hands_on_body(posture: Float[ndarray, "20 3"], rng: np.random.Generator) -> Float[ndarray, "20 3"]:
+    """The posture with one or both hands on the body, where they reach it and no arm passes through the trunk."""
+    sides = ["R", "L"] if rng.random() < 0.5 else ["L", "R"]
+    for side in sides[: 2 if rng.random() < 0.6 else 1]:
+        for _ in range(_TRIES):
+            touching = _touch(posture, side, rng)
+            if touching is not None and within_limits(touching[None])[0]:
+                posture = touching
+                break
+    return posture
+
+
+def _touch(posture: Float[ndarray, "20 3"], side: str, rng: np.random.Generator) -> Float[ndarray, "20 3"] | None:
+    """One arm bent towards a random point of the skin; None where it does not reach or would pass through the trunk."""
+    skin = _skin()
+    world = world_rotations(posture)
+    moved = skin.body.bone_transforms(posture)
+    shoulder, elbow, wrist = (moved.heads[bone] for bone in skin.chain[side])
+    place = int(rng.choice(len(_PLACES), p=[share for share, _ in _PLACES]))
+    face = int(rng.choice(skin.faces[side][place]))
+    bone = skin.bones[face]
+    normal = moved.rotations[bone] @ skin.normals[face]
+    point = moved.rotations[bone] @ skin.points[face] + moved.offsets[bone]
+    # The fingers point away from the elbow, which is not known yet: about away from the shoulder, along the skin.
+    ahead = _unit(_across(point - shoulder + rng.normal(0, 0.1, 3), normal))
+    target = point + normal * rng.uniform(*_ABOVE_M) - ahead * rng.uniform(0, _PALM_M)
+
+    upper, lower = np.linalg.norm(elbow - shoulder), np.linalg.norm(wrist - elbow)
+    reach = target - shoulder
+    distance = float(np.linalg.norm(reach))
+    if not abs(upper - lower) + 0.05 < distance < 0.98 * (upper + lower):
+        return None
+    trunk = world[POSTURE_INDEX["spine_up"]]
+    out = -1.0 if side == "R" else 1.0
+    down, outwards, back = rng.uniform(0.2, 1), rng.uniform(0, 1.2), rng.uniform(-0.3, 0.6)
+    reach = reach / distance
+    pole = _unit(_across(trunk @ np.array([out * outwards, back, -down]), reach))
+    along = (upper**2 - lower**2 + distance**2) / (2 * distance)
+    bent = shoulder + reach * along + pole * np.sqrt(max(upper**2 - along**2, 0.0))
+    if _through_trunk(np.stack([bent, (bent + target) / 2, target]), moved.heads[[skin.pelvis, skin.neck]], trunk):
+        return None
+
+    arm, forearm, hand = (POSTURE_INDEX[f"{name}.{side}"] for name in ("upper_arm", "forearm", "hand"))
+    carried = world[forearm].T @ world[hand]
+    world[arm] = _swing(elbow - shoulder, bent - shoulder) @ world[arm]
+    world[forearm] = _swing(wrist - elbow, target - bent) @ world[forearm]
+    world[hand] = world[forearm] @ carried
+    fingers = _unit(world[hand] @ skin.fingers[side])
+    world[hand] = _swing(fingers, _across(fingers, normal) + 0.3 * fingers) @ world[hand]
+    bent_arm = posture.copy()
+    bent_arm[[arm, forearm, hand]] = local_rotations(world)[[arm, forearm, hand]]
+    return bent_arm
+
+
+def _through_trunk(points: Float[ndarray, "n 3"], ends: Float[ndarray, "2 3"], trunk: Float[ndarray, "3 3"]) -> bool:
+    """Whether a point lies in an elliptical cylinder from the pelvis to the neck."""
+    axis = ends[1] - ends[0]
+    share = ((points - ends[0]) @ axis) / (axis @ axis)
+    aside = (points - ends[0] - share[:, None] * axis) @ trunk
+    inside = (np.square(aside[:, :2] / _TRUNK_M).sum(1) < 1) & (share > 0) & (share < 1)
+    return bool(inside.any())
+
+
+def _unit(vector: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
+    return vector / max(float(np.linalg.norm(vector)), 1e-9)
+
+
+def _across(vector: Float[ndarray, "3"], axis: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
+    """The part of a vector that is at a right angle to a unit axis."""
+    return vector - axis * (vector @ axis)
+
+
+def _swing(start: Float[ndarray, "3"], end: Float[ndarray, "3"]) -> Float[ndarray, "3 3"]:
+    """The smallest rotation that turns one direction into another."""
+    a, b = _unit(start), _unit(end)
+    axis, cosine = np.cross(a, b), float(a @ b)
+    if cosine < -0.9999:  # any axis across does
+        axis = _unit(np.cross(a, np.eye(3)[np.abs(a).argmin()]))
+        return 2 * np.outer(axis, axis) - np.eye(3)
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return np.eye(3) + cross + cross @ cross / (1 + cosine)

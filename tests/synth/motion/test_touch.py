@@ -1,0 +1,102 @@
+"""Hands laid on the body."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from depthmocap.body.model import REST_POSTURE, Body
+from depthmocap.body.posture import POSTURE_BONES, turn_posture
+from depthmocap.synth.motion.limits import within_limits
+from depthmocap.synth.motion.postures import PosturePrior, Variation
+from depthmocap.synth.motion.touch import _of, _swing, _through_trunk, hands_on_body
+
+ARMS = [i for i, name in enumerate(POSTURE_BONES) if name.split(".")[0] in ("upper_arm", "forearm", "hand")]
+
+
+def touched(count: int, seed: int = 0) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return [hands_on_body(turn_posture(REST_POSTURE, rng.uniform(-3, 3)), rng) for _ in range(count)]
+
+
+def test_only_arms_move_and_stay_within_limits() -> None:
+    prior, rng = PosturePrior.load(), np.random.default_rng(1)
+    moved = 0
+    for _ in range(40):
+        posture, _ = prior.sample(rng)
+        found = hands_on_body(posture, rng)
+        others = np.setdiff1d(np.arange(len(POSTURE_BONES)), ARMS)
+        np.testing.assert_array_equal(found[others], posture[others])
+        changed = np.abs(found - posture).max() > 1e-6
+        moved += changed
+        assert not changed or within_limits(found[None])[0]
+    assert moved > 30
+
+
+def test_a_hand_comes_to_lie_on_the_skin(default_body: Body) -> None:
+    model = default_body.model
+    bones = np.array([bone.rpartition(".")[0] or bone for bone in model.bone_names])[model.skin_indices[:, 0]]
+    arm = np.array([name.startswith(("upperarm", "lowerarm", "wrist", "finger", "metacarpal")) for name in bones])
+    sides = np.array([bone[-1] for bone in model.bone_names])[model.skin_indices[:, 0]]
+    near = []
+    for posture in touched(30):
+        posed = default_body.pose(posture)
+        for side in "RL":
+            # From the middle of the palm to what is not the same arm.
+            knuckles = model.bone_names.index(f"metacarpal3.{side}")
+            palm = posed.vertices[model.skin_indices[:, 0] == knuckles].mean(0)
+            near.append(np.linalg.norm(posed.vertices[~arm | (sides != side)] - palm, axis=1).min())
+    rest = default_body.pose(REST_POSTURE)
+    far = np.linalg.norm(rest.vertices[~arm] - rest.vertices[model.skin_indices[:, 0] == knuckles].mean(0), axis=1)
+    assert far.min() > 0.18
+    # A hand at least a body; many bodies both.
+    assert (np.array(near).reshape(-1, 2).min(1) < 0.12).mean() > 0.9
+    assert (np.array(near).reshape(-1, 2).max(1) < 0.12).mean() > 0.3
+
+
+def test_elbows_stay_joined(default_body: Body) -> None:
+    rest = default_body.pose(REST_POSTURE).joints
+    for posture in touched(10):
+        joints = default_body.pose(posture).joints
+        for a, b in ((12, 13), (13, 14), (15, 16), (16, 17)):
+            np.testing.assert_allclose(
+                np.linalg.norm(joints[a] - joints[b]), np.linalg.norm(rest[a] - rest[b]), atol=1e-6
+            )
+
+
+def test_arms_do_not_pass_through_the_trunk() -> None:
+    ends = np.array([[0.0, 0, 0], [0, 0, 0.5]])
+    inside, beside, above = np.array([[0.0, 0.05, 0.2]]), np.array([[0.0, 0.15, 0.2]]), np.array([[0.0, 0, 0.7]])
+    assert _through_trunk(inside, ends, np.eye(3))
+    assert not _through_trunk(beside, ends, np.eye(3))
+    assert not _through_trunk(above, ends, np.eye(3))
+    # Turned by a quarter, what lay behind the narrow side lies in the wide one.
+    turned = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    assert _through_trunk(np.array([[0.0, 0.12, 0.2]]), ends, turned)
+
+
+def test_swings_turn_one_direction_into_another() -> None:
+    rng = np.random.default_rng(0)
+    for a, b in [*rng.normal(size=(20, 2, 3)), (np.array([1.0, 0, 0]), np.array([-2.0, 0, 0]))]:
+        turn = _swing(a, b)
+        np.testing.assert_allclose(turn @ a / np.linalg.norm(a), b / np.linalg.norm(b), atol=1e-6)
+        np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-9)
+        assert np.linalg.det(turn) == pytest.approx(1)
+
+
+def test_the_left_hands_places_are_the_rights_mirrored() -> None:
+    assert _of("R", "thigh R") == "thigh R"
+    assert _of("L", "thigh R") == "thigh L"
+    assert _of("L", "upper arm L") == "upper arm R"
+    assert _of("L", "neck front") == "neck front"
+
+
+def test_who_walks_and_runs_does_not() -> None:
+    rng = np.random.default_rng(0)
+    prior = PosturePrior.load(simple=True, variation=Variation(touch=1.0))
+    plain = PosturePrior.load(simple=True)
+    for _ in range(5):
+        seed = int(rng.integers(1000))
+        np.testing.assert_array_equal(
+            prior.sample(np.random.default_rng(seed))[0], plain.sample(np.random.default_rng(seed))[0]
+        )
