@@ -23,6 +23,7 @@ from depthmocap.pipeline import STAGES, Pipeline
 from depthmocap.pose.cloud import LabelledView, merge_views
 from depthmocap.pose.estimate import RidgeEstimator, load_estimator
 from depthmocap.pose.features import FEATURES_PER_REGION, MIN_POINTS, cloud_features
+from depthmocap.pose.parts import body_frame, part_statistics
 from depthmocap.pose.ridge import RidgePose
 from depthmocap.pose.track import AUTO, load_filter
 from depthmocap.synth.motion.postures import PosturePrior
@@ -68,7 +69,7 @@ def joints(bench: Bench) -> None:
         return smooth(Pose(now_ns, *votes(merge_views(parts))))
 
     def features() -> ndarray:
-        return cloud_features(merge_views(parts), "z", bank.absolute).values
+        return cloud_features(merge_views(parts), "z", bank.frame).values
 
     plain_features = _plain_joints(bank.model_for(len(parts)), parts)[0]
     feature_error = float(np.nanmax(np.abs(features() - plain_features)))
@@ -95,7 +96,9 @@ def _plain_joints(model: RidgePose, parts: list[LabelledView]) -> tuple[ndarray,
         ]
     )
     regions = np.concatenate([labels[(labels > 0) & (view.depth_m > 0)] for view, labels, *_ in parts])
-    centre = np.zeros(3) if model.absolute else np.median(points, axis=0)
+    turn = body_frame(part_statistics(merge_views(parts))).turn if model.frame == "body" else np.eye(3)
+    points = points @ turn.T
+    centre = np.zeros(3) if model.frame == "world" else np.median(points, axis=0)
     features = np.full((REGION_COUNT, FEATURES_PER_REGION), np.nan)
     for region in range(1, REGION_COUNT + 1):
         own = points[regions == region] - centre
@@ -108,7 +111,7 @@ def _plain_joints(model: RidgePose, parts: list[LabelledView]) -> tuple[ndarray,
                 ]
             )  # fmt: skip
     x = np.nan_to_num((features.ravel() - model.mean) / model.scale)
-    return features.ravel(), (x @ model.weights + model.bias).reshape(-1, 3) + centre
+    return features.ravel(), ((x @ model.weights + model.bias).reshape(-1, 3) + centre) @ turn
 
 
 def segmentation(bench: Bench) -> None:

@@ -111,11 +111,11 @@ def test_train_pose_from_a_folder(root, tmp_path):
         assert numbers["mean_joint_error_cm"] < 60  # 24 samples teach little, but not nothing
 
 
-def test_train_pose_absolute_from_synth(body_model, tmp_path):
-    source = PoseSamples(samples=30, views=(3,), absolute=True, workers=0)
+def test_train_pose_in_the_world_from_synth(body_model, tmp_path):
+    source = PoseSamples(samples=30, views=(3,), frame="world", workers=0)
     settings = PoseTraining(tmp_path, source, "ridge")
     for path in train_pose(settings):
-        assert RidgeBank.load(path).absolute
+        assert RidgeBank.load(path).frame == "world"
     with pytest.raises(InputError, match="other settings"):
         train_pose(dataclasses.replace(settings, source=dataclasses.replace(source, seed=1)))
     few = dataclasses.replace(source, samples=2)

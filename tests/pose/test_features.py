@@ -1,13 +1,20 @@
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
+from depthmocap.body.model import REST_POSTURE, Phenotype
+from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
-from depthmocap.geometry import z_up_from
+from depthmocap.frames import View
+from depthmocap.geometry import DepthCamera, look_at, z_up_from
 from depthmocap.kernels.stats import median
-from depthmocap.pose.cloud import LabelledCloud
+from depthmocap.pose.cloud import LabelledCloud, LabelledView, merge_views
 from depthmocap.pose.features import FEATURES_PER_REGION, MIN_POINTS, cloud_features
+from depthmocap.synth.render import render_body
 
 
 def make_cloud(rng, n=3000, regions=43):
@@ -31,12 +38,12 @@ def reference_region(points):
 
 
 @pytest.mark.parametrize("up", ["z", "y", "-y"])
-@pytest.mark.parametrize("absolute", [False, True])
-def test_statistics_match_numpy(up, absolute):
+@pytest.mark.parametrize("frame", ["cloud", "world"])
+def test_statistics_match_numpy(up, frame):
     cloud = make_cloud(np.random.default_rng(0))
-    features = cloud_features(cloud, up, absolute)
+    features = cloud_features(cloud, up, frame)
     points = cloud.points_world.astype(np.float64) @ z_up_from(up).T
-    if not absolute:
+    if frame == "cloud":
         centre = np.median(points, axis=0)
         points = points - centre
         np.testing.assert_allclose(features.origin_world, z_up_from(up).T @ centre, atol=1e-12)
@@ -82,6 +89,38 @@ def test_regions_with_few_points_are_nan():
     assert seen[2].all()
     assert seen.sum() == FEATURES_PER_REGION
     assert np.isfinite(cloud_features(cloud, min_points=1).values).sum() == 2 * FEATURES_PER_REGION
+
+
+@pytest.mark.parametrize("up", ["z", "-y"])
+def test_the_bodys_features_do_not_change_when_person_and_cameras_turn(body_model, up):
+    posed = body_model.shape(Phenotype()).pose(REST_POSTURE)
+    target = posed.vertices.mean(0)
+    world, angle = z_up_from(up).T, 1.1
+    turn = world @ Rotation.from_rotvec([0, 0, angle]).as_matrix()
+    parts, turned = [], []
+    for azimuth in (0.3, 2.0):
+        eye = target + 2.5 * np.array([np.sin(azimuth), -np.cos(azimuth), 0.2])
+        camera = DepthCamera("camera", 128, 128, 110.0, 110.0, 63.5, 63.5, look_at(eye, target))
+        depth, labels = render_body(posed, camera)
+        for rotation, views in ((world, parts), (turn, turned)):
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = rotation, [0.5, -0.2, 0.1]
+            moved = dataclasses.replace(camera, world_from_camera=pose @ camera.world_from_camera)
+            views.append(LabelledView(View(moved, depth), labels))
+    here, there = (cloud_features(merge_views(views), up, "body") for views in (parts, turned))
+    np.testing.assert_allclose(there.values, here.values, atol=2e-4)
+    across = cloud_features(merge_views(turned), up, "cloud").values
+    assert np.nanmax(np.abs(across - cloud_features(merge_views(parts), up, "cloud").values)) > 0.1
+    # It faces forwards: what is left is at +y, and joints go there and back.
+    joints = posed.joints @ world.T + [0.5, -0.2, 0.1]
+    found = here.from_world(joints)
+    assert found[JOINT_INDEX["LShoulder"], 1] > 0.05 > -0.05 > found[JOINT_INDEX["RShoulder"], 1]
+    np.testing.assert_allclose(here.to_world(found), joints, atol=1e-9)
+
+
+def test_the_bodys_frame_asks_for_cameras():
+    with pytest.raises(InputError, match="camera"):
+        cloud_features(make_cloud(np.random.default_rng(5)), frame="body")
 
 
 def test_empty_cloud_is_nan():

@@ -20,12 +20,12 @@ def make_data(rng, n=200, noise=0.0):
     return features, joints.reshape(n, 18, 3), np.arange(n) // 10
 
 
-def make_model(rng, views=0, absolute=False):
+def make_model(rng, views=0, frame="cloud"):
     halves = (rng.standard_normal((FEATURE_COUNT, 54)) * 0.01).astype(np.float16)
     mean, scale = rng.standard_normal((2, FEATURE_COUNT)).astype(np.float32)
     bias = rng.standard_normal(54).astype(np.float32)
     weights = halves.astype(np.float32)
-    return RidgePose(mean, np.abs(scale) + 1, weights, bias, 3.0, JOINTS, absolute, views, "network")
+    return RidgePose(mean, np.abs(scale) + 1, weights, bias, 3.0, JOINTS, frame, views, "network")
 
 
 def test_recovers_a_linear_map():
@@ -121,7 +121,7 @@ def test_wrong_feature_count_is_refused():
 @pytest.mark.parametrize("exact", [True, False])
 def test_save_and_load(tmp_path, exact):
     rng = np.random.default_rng(9)
-    model = make_model(rng, views=2, absolute=True)
+    model = make_model(rng, views=2, frame="world")
     if not exact:  # not representable in 16 bits: written in 32
         model = dataclasses.replace(model, weights=model.weights * np.float32(1.0001))
     model.save(tmp_path / "model.npz")
@@ -152,7 +152,7 @@ def test_bank(tmp_path):
     with pytest.raises(InputError, match="bank"):
         RidgeBank((one, one))
     with pytest.raises(InputError, match="bank"):
-        RidgeBank((one, dataclasses.replace(three, absolute=True)))
+        RidgeBank((one, dataclasses.replace(three, frame="world")))
 
 
 def test_bad_files_are_refused(tmp_path):
@@ -168,6 +168,10 @@ def test_bad_files_are_refused(tmp_path):
             RidgePose.load(path)
     np.savez(path, mean=np.zeros(3))
     with pytest.raises(InputError, match="format"):
+        RidgePose.load(path)
+    model.save(path)
+    np.savez(path, **{**np.load(path), "frame": np.array(["room"])})
+    with pytest.raises(InputError, match="frame must be one of world, cloud, body"):
         RidgePose.load(path)
     np.save(tmp_path / "array.npy", np.zeros(3))
     with pytest.raises(InputError, match="not a pose model"):

@@ -44,10 +44,11 @@ def random_grip(rng: np.random.Generator) -> Grip:
     fingers = np.clip(fingers + rng.normal(0, 0.06, 4), -0.2, 1)
     if kind == 3:
         fingers[0] = rng.uniform(-0.2, 0.1)
-    thumb = curl * rng.uniform(0.3, 1.0)
+    thumb = float(curl * rng.uniform(0.3, 1.0))
     # At rest the mesh's fingers are spread.
     spread = rng.uniform(-0.25, 0.2) if kind == 2 else rng.uniform(-0.2, 0.0)
-    return Grip((float(thumb), *map(float, fingers)), float(spread))
+    index, middle, ring, little = map(float, fingers)
+    return Grip((thumb, index, middle, ring, little), float(spread))
 
 
 def with_hands(body: Body, right: Grip, left: Grip) -> Body:

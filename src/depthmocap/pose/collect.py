@@ -22,7 +22,7 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.pose.cloud import LABELS, LabelledView, Labels, label_people, merge_views
-from depthmocap.pose.features import FEATURE_COUNT, cloud_features
+from depthmocap.pose.features import FEATURE_COUNT, FeatureFrame, cloud_features
 from depthmocap.pose.parts import PART_COLUMNS, PART_COUNT, part_statistics
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.output.stream import stream
@@ -43,7 +43,8 @@ class PoseSamples:
         subset: who is in the samples: easy, inter, hard, or open (all builds); by default open bodies are made, and
             hard is read from a folder.
         views: numbers of cameras that the paper's features are made for; the largest is the number of a sample's.
-        absolute: the paper's features in the world's frame, instead of relative to the cloud's centre.
+        vary: recombine, perturb and tilt the postures; without, they are as recorded, which suits the ridge.
+        frame: of the paper's features: world (the paper's), cloud (relative to its middle) or body (turned with it).
         workers: processes that make pictures; 0 makes them between the labelling.
     """
 
@@ -53,7 +54,8 @@ class PoseSamples:
     subset: Literal["easy", "inter", "hard", "open"] | None = None
     samples: int = 6000
     views: tuple[int, ...] = (1, 2, 3, 4)
-    absolute: bool = False
+    vary: bool = True
+    frame: FeatureFrame = "body"
     seed: int = 0
     workers: int = 1
 
@@ -125,7 +127,7 @@ def read_samples(folder: Path, settings: PoseSamples) -> Collected:
 def _samples(settings: PoseSamples, first: int) -> Generator[Sample, None, None]:
     if settings.data == "synth":
         recipe = Recipe(
-            settings.people, "train", max(settings.views), settings.postures, vary=True,
+            settings.people, "train", max(settings.views), settings.postures, vary=settings.vary,
             sensors=(ANY_SENSOR,), noise="random", cameras=CameraRange(roll_rad=0.03, truncated=0.05),
         )  # fmt: skip
         for _, sample in stream(recipe, settings.seed, first, settings.samples, settings.workers):
@@ -170,7 +172,7 @@ def _measure(
             for choice in choices:
                 if views is None:
                     break
-                found = cloud_features(merge_views([views[i] for i in choice]), "z", settings.absolute)
+                found = cloud_features(merge_views([views[i] for i in choice]), "z", settings.frame)
                 if np.isfinite(found.values).any():
                     features.append((found.values, found.from_world(sample.joints).astype(np.float32)))
             key = f"{labels} {count}"

@@ -94,7 +94,7 @@ class RidgeEstimator:
         """
         if len(cloud) < MIN_CLOUD_POINTS:
             return np.full((len(JOINTS), 3), np.nan), np.zeros(len(JOINTS))
-        features = cloud_features(cloud, up, self.bank.absolute)
+        features = cloud_features(cloud, up, self.bank.frame)
         views = sum(size > 0 for size in cloud.view_sizes) or 1
         joints = self.bank.predict(features.values[None], views)
         return features.to_world(joints[0].astype(np.float64)), joint_confidence(features)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Float32, Int
@@ -13,11 +14,15 @@ from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
 from depthmocap.kernels.stats import region_statistics, sort_by_region
 from depthmocap.pose.cloud import LabelledCloud
+from depthmocap.pose.parts import body_frame, part_statistics
 
 #: Per region, in this order: median (3), covariance (9, row-major), its eigenvalues (3, ascending), standard
 #: deviation (3), minimum (3), maximum (3).
 FEATURES_PER_REGION = 24
 FEATURE_COUNT = REGION_COUNT * FEATURES_PER_REGION
+#: What the numbers of a cloud are relative to: the Z-up world, as in the paper; the cloud's middle in it; or the middle
+#: and the direction that the body faces (``parts.body_frame``), which is +x then.
+FeatureFrame = Literal["world", "cloud", "body"]
 #: Regions with fewer points are taken as unseen: their statistics would be those of stray pixels.
 MIN_POINTS = 8
 
@@ -46,21 +51,23 @@ class Features:
 
 
 def cloud_features(
-    cloud: LabelledCloud, up: str = "z", absolute: bool = False, min_points: int = MIN_POINTS
+    cloud: LabelledCloud, up: str = "z", frame: FeatureFrame = "cloud", min_points: int = MIN_POINTS
 ) -> Features:
     """Statistics of each region of a labelled cloud, in metres and square metres.
 
-    The frame is the world turned Z-up. It is centred on the median of all points along each axis, which a stray pixel
-    cannot move, so that where the person stands makes no difference; ``absolute=True`` is the paper's form, without
-    centring. The heading is not normalised: a person who turns gives other features, and the training data must hold
-    all headings. Covariances are the population's (divided by n). Label probabilities do not weigh the statistics.
+    The frame is the world turned Z-up: as it is ("world", the paper's form), centred on the median of all points along
+    each axis, which a stray pixel cannot move, so that where the person stands makes no difference ("cloud"), or turned
+    as well so that the body faces +x, which a person who turns does not change either ("body"). Covariances are the
+    population's (divided by n). Label probabilities do not weigh the statistics.
 
     Args:
         up: the world's up axis, ``"z"``, ``"y"`` or ``"-y"``.
+        frame: "body" asks for a cloud that knows its cameras.
         min_points: regions with fewer points are NaN.
 
     Raises:
-        InputError: for another ``up``, ``min_points`` below 1, a label outside 1–43, or a point that is not finite.
+        InputError: for another ``up``, ``min_points`` below 1, a label outside 1–43, a point that is not finite, or a
+            cloud that does not know its cameras where the frame is the body's.
     """
     if min_points < 1:
         raise InputError(f"min_points must be at least 1, not {min_points}")
@@ -68,6 +75,8 @@ def cloud_features(
         rotation = z_up_from(up)
     except ValueError as error:
         raise InputError(str(error)) from None
+    if frame == "body":
+        rotation = body_frame(part_statistics(cloud, up)).turn @ rotation
     by_region, starts, weight_sums, bad = sort_by_region(
         np.ascontiguousarray(cloud.points_world),
         np.ascontiguousarray(cloud.labels),
@@ -78,7 +87,7 @@ def cloud_features(
     if bad:
         raise InputError(f"{bad} of {len(cloud)} points have a label outside 1–{REGION_COUNT} or are not finite")
     statistics, centre = region_statistics(by_region, starts, min_points)
-    if absolute:
+    if frame == "world":
         centre = np.zeros(3)
 
     values = np.full((REGION_COUNT, FEATURES_PER_REGION), np.nan, np.float32)

@@ -16,6 +16,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import cast, get_args
 
 import numpy as np
 import scipy.linalg
@@ -24,20 +25,20 @@ from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
-from depthmocap.pose.features import FEATURE_COUNT
+from depthmocap.pose.features import FEATURE_COUNT, FeatureFrame
 
 #: Strengths among which cross-validation chooses.
 STRENGTHS = np.logspace(-1, 6, 15)
 #: Weights are kept in 16 bits where that moves no joint coordinate of the training data by more.
 _ROUNDING_M = 1e-3
-_FORMAT = "depthmocap ridge 1"
+_FORMAT = "depthmocap ridge 2"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RidgePose:
     """A linear map from features to joints, fit for some number of views (0: any) and kind of labels.
 
-    ``mean`` and ``scale`` standardise the features; ``absolute`` tells how they must be computed (see
+    ``mean`` and ``scale`` standardise the features; ``frame`` tells how they must be computed (see
     ``cloud_features``). ``bias`` holds the joints of the mean features, in metres. ``labels`` is "true" or "network".
     Standardised features are clipped to ±``clip``: a few mislabelled points far off, which move a region's minimum or
     maximum by a metre, then move the joints by centimetres. The paper does not clip.
@@ -49,7 +50,7 @@ class RidgePose:
     bias: Float32[ndarray, "54"]
     strength: float
     joints: tuple[str, ...] = JOINTS
-    absolute: bool = False
+    frame: FeatureFrame = "cloud"
     views: int = 0
     labels: str = "true"
     clip: float = np.inf
@@ -85,20 +86,20 @@ class RidgeBank:
     """One model per number of views, the largest of which serves that many and more.
 
     Raises:
-        InputError: without models, or when two share a number of views or the models differ in ``absolute``.
+        InputError: without models, or when two share a number of views or the models differ in ``frame``.
     """
 
     models: tuple[RidgePose, ...]
 
     def __post_init__(self) -> None:
         views = [model.views for model in self.models]
-        if not views or len(set(views)) < len(views) or len({model.absolute for model in self.models}) > 1:
+        if not views or len(set(views)) < len(views) or len({model.frame for model in self.models}) > 1:
             raise InputError(f"a bank needs models of different numbers of views and of one frame, got views {views}")
 
     @property
-    def absolute(self) -> bool:
-        """Whether the features are in the paper's absolute frame."""
-        return self.models[0].absolute
+    def frame(self) -> FeatureFrame:
+        """What the features must be relative to."""
+        return self.models[0].frame
 
     def model_for(self, views: int) -> RidgePose:
         """The model of this many views or, without one, of the next fewer; of the fewest when none has fewer."""
@@ -147,7 +148,7 @@ def fit_ridge(
     strengths: Sequence[float] | Float[ndarray, "s"] = STRENGTHS,
     folds: int = 5,
     *,
-    absolute: bool = False,
+    frame: FeatureFrame = "cloud",
     views: int = 0,
     labels: str = "true",
     clip: float = np.inf,
@@ -159,7 +160,7 @@ def fit_ridge(
     from all samples. With a single strength there is no cross-validation.
 
     Args:
-        absolute: recorded in the model, as are ``views`` (0: any number) and ``labels`` ("true" or "network").
+        frame: recorded in the model, as are ``views`` (0: any number) and ``labels`` ("true" or "network").
         clip: bound of standardised features, in deviations; see :class:`RidgePose`.
 
     Raises:
@@ -200,7 +201,7 @@ def fit_ridge(
     if np.isfinite(rounded).all() and np.abs(x @ (rounded - weights)).max() <= _ROUNDING_M:
         weights = rounded
     strength = float(candidates[best])
-    return RidgePose(mean, scale, weights, bias.astype(np.float32), strength, JOINTS, absolute, views, labels, clip)
+    return RidgePose(mean, scale, weights, bias.astype(np.float32), strength, JOINTS, frame, views, labels, clip)
 
 
 def _check_count(features: ndarray) -> None:
@@ -262,7 +263,7 @@ def _save(models: tuple[RidgePose, ...], path: Path) -> None:
             weights=halves if np.array_equal(halves, weights) else weights,
             bias=np.stack([model.bias for model in models]),
             strength=np.array([model.strength for model in models]),
-            absolute=np.array([model.absolute for model in models]),
+            frame=np.array([model.frame for model in models]),
             views=np.array([model.views for model in models]),
             labels=np.array([model.labels for model in models]),
             clip=np.array([model.clip for model in models], dtype=np.float64),
@@ -284,16 +285,19 @@ def _load(path: Path) -> tuple[RidgePose, ...]:
     outputs = 3 * len(JOINTS)
     expected = {
         "mean": (FEATURE_COUNT,), "scale": (FEATURE_COUNT,), "weights": (FEATURE_COUNT, outputs), "bias": (outputs,),
-        "strength": (), "absolute": (), "views": (), "labels": (), "clip": (),
+        "strength": (), "frame": (), "views": (), "labels": (), "clip": (),
     }  # fmt: skip
     count = len(np.atleast_1d(arrays.get("views", [])))
     for name, shape in expected.items():
-        kind = {"labels": "U", "absolute": "b", "views": "i"}.get(name, "f")
+        kind = {"labels": "U", "frame": "U", "views": "i"}.get(name, "f")
         if name not in arrays or arrays[name].shape != (count, *shape) or arrays[name].dtype.kind != kind:
             raise InputError(f"{path}: {name} must have the shape {(count, *shape)} and a type of kind {kind!r}")
     joints = tuple(np.atleast_1d(arrays.get("joints", [])).tolist())
     if joints != JOINTS:
         raise InputError(f"{path} predicts the joints {joints}, expected {JOINTS}")
+    frames = arrays["frame"].tolist()
+    if not set(frames) <= set(get_args(FeatureFrame)):
+        raise InputError(f"{path}: frame must be one of {', '.join(get_args(FeatureFrame))}, got {frames}")
     numbers = {name: arrays[name].astype(np.float32) for name in ("mean", "scale", "weights", "bias")}
     if not all(np.isfinite(array).all() for array in numbers.values()) or (numbers["scale"] <= 0).any():
         raise InputError(f"{path} holds numbers that are not finite or scales that are not positive")
@@ -302,7 +306,7 @@ def _load(path: Path) -> tuple[RidgePose, ...]:
             **{name: array[i] for name, array in numbers.items()},
             strength=float(arrays["strength"][i]),
             joints=joints,
-            absolute=bool(arrays["absolute"][i]),
+            frame=cast(FeatureFrame, str(arrays["frame"][i])),
             views=int(arrays["views"][i]),
             labels=str(arrays["labels"][i]),
             clip=float(arrays["clip"][i]),

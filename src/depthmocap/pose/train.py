@@ -85,10 +85,10 @@ def fit_bank(samples: Collected, labels: Labels, settings: PoseTraining, console
             raise InputError(
                 f"too few samples with {count} views to fit a regressor: give more --samples or fewer --views"
             )
-        absolute = settings.source.absolute
+        frame = settings.source.frame
         model = fit_ridge(
-            features, joints, groups, absolute=absolute, views=count, labels=labels,
-            clip=CLIP if labels == "network" and not absolute else np.inf,
+            features, joints, groups, frame=frame, views=count, labels=labels,
+            clip=CLIP if labels == "network" and frame != "world" else np.inf,
         )  # fmt: skip
         error = np.linalg.norm(model.predict(features) - joints, axis=-1).mean() * 100
         console.print(f"ridge, {labels} labels, {count} views: {len(features)} samples, strength {model.strength:g}, "
