@@ -56,6 +56,8 @@ _COMMANDS = (
              "train a body-part classifier", "train"),
     _Command("train curriculum", "depthmocap.classify.curriculum", "CurriculumTraining", "train_curriculum",
              "the paper's network by its curriculum, and without", "train"),
+    _Command("train ablations", "depthmocap.classify.ablations", "AblationTraining", "train_ablations",
+             "what each ingredient of our classifier's training is worth", "train"),
     _Command("train pose", "depthmocap.pose.train", "PoseTraining", "train_pose", "fit the joint regressors"),
     _Command("train prior", "depthmocap.synth.motion.prior", "PriorTraining", "train_prior",
              "learn the posture prior from motion capture", "train"),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -24,3 +26,27 @@ def check_seed(seed: int) -> None:
     """Raise InputError unless generators can be made from a seed."""
     if seed < 0:
         raise InputError(f"--seed must be at least 0, got {seed}")
+
+
+def claim_folder(folder: Path, settings: Any, what: str, free: Collection[str]) -> None:
+    """Write settings.json into a folder that a command fills, or compare with what is there, so that what is run again
+    goes on with the same.
+
+    Args:
+        what: what the folder holds, for the message.
+        free: settings that may change.
+
+    Raises:
+        InputError: when the folder holds something of other settings.
+    """
+    mine = {name: value for name, value in plain_settings(settings).items() if name not in free}
+    path = folder / "settings.json"
+    if path.exists():
+        theirs = json.loads(path.read_text())
+        # JSON has lists for tuples.
+        differ = [name for name, value in mine.items() if theirs.get(name) != json.loads(json.dumps(value))]
+        if differ:
+            options = ", ".join(f"--{name.replace('_', '-')} {theirs.get(name)}" for name in differ)
+            raise InputError(f"{folder} holds {what} with {options}: use the same, or another --out")
+    folder.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(mine, indent=1) + "\n")

@@ -21,7 +21,7 @@ from depthmocap.classify.windows import WindowSource
 from depthmocap.errors import InputError
 from depthmocap.report.charts import loss_curves
 from depthmocap.report.page import ReportFigure, ReportSection, ReportTable, write_report
-from depthmocap.settings import check_seed, plain_settings
+from depthmocap.settings import check_seed, claim_folder
 from depthmocap.synth.sample import Subset
 
 _SUBSETS: tuple[Subset, ...] = ("easy", "inter", "hard")
@@ -127,7 +127,8 @@ def train_curriculum(settings: CurriculumTraining, console: Console | None = Non
             f"{settings.scale}, {settings.valid_images}, {settings.optimisers}"
         )
     console = console or Console(stderr=True)
-    _claim(settings)
+    # Where and how fast it runs, and what is added to it, make no other experiment.
+    claim_folder(settings.out, settings, "a curriculum", ("out", "workers", "device", "optimisers", "control"))
     found: dict[str, Any] = {
         "scale": settings.scale, "pictures_an_iteration": PAPER_BATCH, "measure": "mean class accuracy, and of pixels",
         "paper": {stage.name: stage.paper for stage in STAGES}, "optimisers": {},
@@ -152,22 +153,6 @@ def train_curriculum(settings: CurriculumTraining, console: Console | None = Non
     _print(found, console)
     _write_report(settings, found)
     return found
-
-
-def _claim(settings: CurriculumTraining) -> None:
-    """Write settings.json, or compare with that of the run that the folder holds."""
-    # Where and how fast it runs, and what is added to it, make no other experiment.
-    free = ("out", "workers", "device", "optimisers", "control")
-    mine = {name: value for name, value in plain_settings(settings).items() if name not in free}
-    path = settings.out / "settings.json"
-    if path.exists():
-        theirs = json.loads(path.read_text())
-        differ = [name for name, value in mine.items() if theirs.get(name) != value]
-        if differ:
-            options = ", ".join(f"--{name.replace('_', '-')} {theirs.get(name)}" for name in differ)
-            raise InputError(f"{settings.out} holds a curriculum with {options}: use the same, or another --out")
-    settings.out.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(mine, indent=1) + "\n")
 
 
 def _measured(settings: CurriculumTraining, optimiser: Optimiser, stage: _Stage | None) -> dict[str, dict[str, float]]:

@@ -84,12 +84,20 @@ class Spoiling:
 
 
 def training_window(
-    seed: int, index: int, subset: Subset, postures: PostureSource, spoiling: Spoiling | None
+    seed: int,
+    index: int,
+    subset: Subset,
+    postures: PostureSource,
+    spoiling: Spoiling | None,
+    *,
+    clothes: bool = True,
+    errors: bool = True,
 ) -> LabelledWindow:
     """The ``index``-th window of a seed.
 
     Depends on the seed and index alone, so that any number of workers makes the same data. ``spoiling=None`` gives
-    well segmented people alone, with the sensor's errors, for validation.
+    well segmented people alone, with the sensor's errors, for validation. Without ``clothes`` people are bare, without
+    ``errors`` depth is exact.
 
     Raises:
         InputError: when nobody can be seen however often it is drawn.
@@ -97,6 +105,8 @@ def training_window(
     for attempt in range(20):
         rng = np.random.default_rng([seed, index, attempt])
         person = _person(seed, index // _WINDOWS_A_PERSON, attempt, subset, postures)
+        if not clothes:
+            person = PosedPerson(person.body)
         preset = random_preset(rng)
         places = dataclasses.replace(_PLACES, truncated=0.0 if spoiling is None else spoiling.truncate)
         camera = _cropped(random_camera(rng, person.body, places, preset, "camera"), person)
@@ -107,7 +117,9 @@ def training_window(
         if np.count_nonzero(rendering.labels) < _FEWEST:
             continue
         model = random_model(rng, preset) if rng.random() < _RANDOM_ERRORS else preset.model
-        depth = sense(rendering.depth_m, rendering.material, camera, model, rng)
+        depth = rendering.depth_m
+        if errors:
+            depth = sense(depth, rendering.material, camera, model, rng)
         mask, labels = _segment(rng, rendering, camera.fx, background, depth, spoiling)
         window = make_window(depth, mask, camera)
         known = mask & (labels > 0) & (labels != UNLABELLED)

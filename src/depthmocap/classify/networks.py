@@ -15,12 +15,15 @@ CLASSES = REGION_COUNT + 1
 _UNIT_M = 0.3
 
 
-def _block(channels_in: int, channels_out: int, stride: int = 1, kernel: int = 3) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Conv2d(channels_in, channels_out, kernel, stride, kernel // 2, bias=False),
-        nn.BatchNorm2d(channels_out),
-        nn.ReLU(inplace=True),
-    )
+def _convolution(channels_in: int, channels_out: int, stride: int, norm: bool) -> list[nn.Module]:
+    return [
+        nn.Conv2d(channels_in, channels_out, 3, stride, 1, bias=not norm),
+        *([nn.BatchNorm2d(channels_out)] if norm else []),
+    ]
+
+
+def _block(channels_in: int, channels_out: int, stride: int = 1, norm: bool = True) -> nn.Sequential:
+    return nn.Sequential(*_convolution(channels_in, channels_out, stride, norm), nn.ReLU(inplace=True))
 
 
 class _Groups(nn.Module):
@@ -40,10 +43,10 @@ def _twice(x: Tensor) -> Tensor:
 
 
 class _Residual(nn.Module):
-    def __init__(self, channels: int) -> None:
+    def __init__(self, channels: int, norm: bool) -> None:
         super().__init__()
-        self.first = _block(channels, channels)
-        self.second = nn.Sequential(nn.Conv2d(channels, channels, 3, 1, 1, bias=False), nn.BatchNorm2d(channels))
+        self.first = _block(channels, channels, norm=norm)
+        self.second = nn.Sequential(*_convolution(channels, channels, 1, norm))
 
     def forward(self, x: Tensor) -> Tensor:
         return torch.relu(x + self.second(self.first(x)))
@@ -71,21 +74,27 @@ class FastNet(nn.Module):
     #: The second output is where the joints are.
     tells_joints = True
 
-    def __init__(self, widths: tuple[int, ...] = (24, 48, 88, 136, 160), depths: tuple[int, ...] = (0, 1, 1, 2, 2)):
+    def __init__(
+        self,
+        widths: tuple[int, ...] = (24, 48, 88, 136, 160),
+        depths: tuple[int, ...] = (0, 1, 1, 2, 2),
+        norm: bool = True,
+    ) -> None:
         super().__init__()
         self.widths, self.depths = widths, depths
-        self.stem = nn.Sequential(_Groups(), _block(12, widths[0]))
+        self.stem = nn.Sequential(_Groups(), _block(12, widths[0], norm=norm))
         levels = []
         for i in range(1, len(widths)):
-            blocks = [_Residual(widths[i]) for _ in range(depths[i])]
-            levels.append(nn.Sequential(_block(widths[i - 1], widths[i], 2), *blocks))
+            blocks = [_Residual(widths[i], norm) for _ in range(depths[i])]
+            levels.append(nn.Sequential(_block(widths[i - 1], widths[i], 2, norm), *blocks))
         self.down = nn.ModuleList(levels)
         self.lateral = nn.ModuleList(nn.Conv2d(widths[i + 1], widths[i], 1, bias=False) for i in range(len(widths) - 1))
         self.up = nn.ModuleList(
-            _Residual(widths[i]) if i > 1 else _block(widths[i], widths[i]) for i in range(len(widths) - 1)
+            _Residual(widths[i], norm) if i > 1 else _block(widths[i], widths[i], norm=norm)
+            for i in range(len(widths) - 1)
         )
         self.head = nn.Conv2d(widths[0], 4 * CLASSES, 1)
-        self.joint_votes = nn.Sequential(_block(widths[_CELLS], 128), nn.Conv2d(128, 5 * len(JOINTS), 1))
+        self.joint_votes = nn.Sequential(_block(widths[_CELLS], 128, norm=norm), nn.Conv2d(128, 5 * len(JOINTS), 1))
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         fine, coarse = self.features(x)

@@ -21,10 +21,10 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from depthmocap.body.regions import UNLABELLED
 from depthmocap.classify.data import LabelledWindow
 from depthmocap.classify.export import export_onnx
-from depthmocap.classify.networks import NETWORKS, Network, masked_outputs
+from depthmocap.classify.networks import FastNet, Network, PaperNet, masked_outputs
 from depthmocap.classify.preprocess import NetworkName
 from depthmocap.classify.quantise import quantise
-from depthmocap.classify.windows import Batches, WindowSource, sorted_batches, training_batches
+from depthmocap.classify.windows import Batches, Ingredient, WindowSource, sorted_batches, training_batches
 from depthmocap.errors import InputError
 from depthmocap.report.metrics import PixelAccuracy
 from depthmocap.settings import check_seed, plain_settings
@@ -65,6 +65,7 @@ class ClassifierTraining:
         workers: processes that make pictures; 0 makes them between steps.
         valid_every: pictures between two validations.
         bfloat16: multiply in half precision; some processors are faster without.
+        without: what our network is trained without, to find out what it is worth (see ``train ablations``).
     """
 
     out: Path
@@ -88,12 +89,13 @@ class ClassifierTraining:
     valid_images: int = 320
     device: str = "cpu"
     bfloat16: bool = True
+    without: tuple[Ingredient, ...] = ()
 
     @property
     def source(self) -> WindowSource:
         """Where its windows come from."""
         subset = self.subset or ("open" if self.data == "synth" else "hard")
-        return WindowSource(self.network, self.data, subset, self.postures, self.seed)
+        return WindowSource(self.network, self.data, subset, self.postures, self.seed, self.without)
 
 
 def evaluate_windows(
@@ -142,6 +144,21 @@ def _make_optimiser(network: Network, settings: ClassifierTraining) -> torch.opt
     return torch.optim.SGD(groups, rate, settings.momentum)
 
 
+def make_network(settings: ClassifierTraining) -> Network:
+    """The network of a run, untrained.
+
+    Raises:
+        InputError: when the paper's network shall lack something.
+    """
+    if settings.network == "paper":
+        if settings.without:
+            raise InputError("--without is for the fast network: the paper's has none of these")
+        return PaperNet()
+    full = FastNet()
+    widths = tuple(width // 2 for width in full.widths) if "width" in settings.without else full.widths
+    return FastNet(widths, full.depths, "norm" not in settings.without)
+
+
 def train_classifier(settings: ClassifierTraining) -> Path:
     """Train, or go on training, and export; returns the ONNX file.
 
@@ -150,7 +167,8 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     mirror image of every picture, which counts as a picture.
 
     Raises:
-        InputError: data, postures or weights that cannot be read, or a folder that holds another network's run.
+        InputError: data, postures or weights that cannot be read, a folder that holds another network's run, or a
+            network of the paper's that shall lack something.
     """
     check_seed(settings.seed)
     if not 0 <= settings.average < 1:
@@ -159,7 +177,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     out.mkdir(parents=True, exist_ok=True)
     (out / "settings.json").write_text(json.dumps(plain_settings(settings), indent=1) + "\n")
     torch.manual_seed(settings.seed)
-    network: Network = NETWORKS[settings.network]()
+    network = make_network(settings)
     network.to(settings.device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     if settings.start is not None:
         load_weights(network, settings.start)
@@ -194,7 +212,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     if network.learns_background:  # the windows of the paper's network are of one size
         batches = (batch for windows in loader for batch in sorted_batches(windows, settings.batch))
     else:
-        batches = training_batches(loader, settings.batch, settings.seed + done)
+        batches = training_batches(loader, settings.batch, settings.seed + done, "mirror" not in settings.without)
 
     def save() -> None:
         partial = checkpoint.with_suffix(".tmp")

@@ -6,7 +6,7 @@ import collections
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -22,7 +22,7 @@ from depthmocap.classify.data import LabelledWindow, Spoiling, joint_places, tra
 from depthmocap.classify.preprocess import WINDOW_MAKERS, NetworkName
 from depthmocap.errors import InputError
 from depthmocap.frames import View
-from depthmocap.synth.motion.postures import TRAINING_VARIATION, posture_source
+from depthmocap.synth.motion.postures import TRAINING_VARIATION, Variation, posture_source
 from depthmocap.synth.sample import Recipe, Split, Subset
 from depthmocap.synth.sample import Sampler as SampleSampler
 
@@ -33,6 +33,9 @@ _ENDLESS = 1 << 40
 _SORTED = 8
 #: So many windows lie between one and its mirror image.
 _APART = 1024
+#: What training of our network can do without, to find out what it is worth: batch normalisation; half the channels;
+#: clothes; the sensors' errors; what hides, clings and spoils the mask; mirror images; postures beyond the recorded.
+Ingredient = Literal["norm", "width", "clothes", "errors", "spoiling", "mirror", "variation"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,6 +48,7 @@ class WindowSource:
         data: "synth", or the root of a UBC3V set.
         subset: who is in the pictures.
         postures: folder of clips or a pool made of them; without it the packaged prior.
+        without: what our network's training pictures lack; those of validation are always the same.
     """
 
     network: NetworkName
@@ -52,6 +56,7 @@ class WindowSource:
     subset: Subset
     postures: Path | None
     seed: int
+    without: tuple[Ingredient, ...] = ()
 
     def train(self, first: int = 0) -> Dataset[LabelledWindow]:
         """Windows from the ``first`` on, without end.
@@ -98,13 +103,19 @@ class _SynthWindows(Dataset[LabelledWindow]):
 
     def __init__(self, source: WindowSource, first: int) -> None:
         self.source, self.first = source, first
-        self.postures = posture_source(source.postures, "train", source.subset == "easy", TRAINING_VARIATION)
+        variation = Variation(mirror=0.5) if "variation" in source.without else TRAINING_VARIATION
+        self.postures = posture_source(source.postures, "train", source.subset == "easy", variation)
+        self.spoiling = None if "spoiling" in source.without else Spoiling()
 
     def __len__(self) -> int:
         return _ENDLESS
 
     def __getitem__(self, index: int) -> LabelledWindow:
-        return training_window(self.source.seed, self.first + index, self.source.subset, self.postures, Spoiling())
+        source = self.source
+        return training_window(
+            source.seed, self.first + index, source.subset, self.postures, self.spoiling,
+            clothes="clothes" not in source.without, errors="errors" not in source.without,
+        )  # fmt: skip
 
 
 class _PaperWindows(Dataset[LabelledWindow]):
@@ -196,15 +207,17 @@ def mirrored(window: LabelledWindow) -> LabelledWindow:
     return LabelledWindow(inputs, table[labels], window.joints[skeleton.MIRROR] * np.array([-1, 1, 1], np.float32))
 
 
-def training_batches(windows: Iterable[list[LabelledWindow]], size: int, seed: int) -> Iterator[LabelledBatch]:
-    """Batches for our network: every window is shown twice, the second time as a mirror image and much later; alike
-    windows are together, which spares the network the empty pixels around them."""
+def training_batches(
+    windows: Iterable[list[LabelledWindow]], size: int, seed: int, mirror: bool = True
+) -> Iterator[LabelledBatch]:
+    """Batches for our network: every window is shown twice, the second time as a mirror image and much later (unless
+    not ``mirror``); alike windows are together, which spares the network the empty pixels around them."""
     rng = np.random.default_rng(seed)
     later: collections.deque[LabelledWindow] = collections.deque()
     shown: list[LabelledWindow] = []
     for few in windows:
         shown += few
-        later += few
+        later += few if mirror else []
         while len(later) > _APART:
             shown.append(mirrored(later.popleft()))
         if len(shown) >= _SORTED * size:
