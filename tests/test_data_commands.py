@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from rich.console import Console
 
 from depthmocap import InputError
 from depthmocap.body.skeleton import JOINTS
@@ -16,11 +17,13 @@ from depthmocap.classify.train import ClassifierTraining, load_weights, train_cl
 from depthmocap.cli import main
 from depthmocap.datasets.ubc3v import Section, sections
 from depthmocap.evaluate.ubc3v import Ubc3vEvaluation, evaluate_ubc3v
-from depthmocap.pose.collect import PoseSamples
+from depthmocap.pose.collect import PoseSamples, collect, read_samples, with_parts_of
 from depthmocap.pose.ridge import RidgeBank
 from depthmocap.pose.train import PoseTraining, train_pose
 from depthmocap.synth.output.generate import SynthSettings, generate
 from depthmocap.synth.sample import Recipe
+
+QUIET = Console(quiet=True)
 
 
 @pytest.fixture(scope="module")
@@ -109,6 +112,26 @@ def test_train_pose_from_a_folder(root, tmp_path):
     for path in (true, votes):
         numbers = evaluate_ubc3v(Ubc3vEvaluation(root, labels="true", estimator=str(path)))
         assert numbers["mean_joint_error_cm"] < 60  # 24 samples teach little, but not nothing
+
+
+def test_the_votes_learn_from_earlier_samples_too(root, tmp_path):
+    source = PoseSamples(str(root), subset="hard", samples=24, views=(2,))
+    one, two = (
+        collect(dataclasses.replace(source, views=views), tmp_path / f"of {views[0]}", QUIET) for views in ((2,), (3,))
+    )
+    both = with_parts_of(one, [read_samples(tmp_path / "of 3", PoseSamples(views=()))])
+    n = len(one.joints)
+    assert both.parts["network"].shape[:2] == (2 * n, 3)
+    np.testing.assert_array_equal(both.parts["true"][:n, :2], one.parts["true"])
+    assert not both.parts["true"][:n, 2].any()
+    np.testing.assert_array_equal(both.parts["network"][n:], two.parts["network"])
+    np.testing.assert_array_equal(both.joints[n:], two.joints)
+    assert both.features is one.features
+    settings = PoseTraining(tmp_path / "run", source, "votes", minutes=0.03, earlier=(tmp_path / "of 3",))
+    (path,) = train_pose(settings, QUIET)
+    assert path.exists()
+    with pytest.raises(InputError, match="no samples"):
+        train_pose(dataclasses.replace(settings, earlier=(tmp_path / "nothing",)), QUIET)
 
 
 def test_train_pose_in_the_world_from_synth(body_model, tmp_path):

@@ -17,6 +17,8 @@ def plain_settings(settings: Any) -> dict[str, Any]:
     def plain(value: Any) -> Any:
         if isinstance(value, dict):
             return {name: plain(each) for name, each in value.items()}
+        if isinstance(value, tuple):
+            return tuple(plain(each) for each in value)
         return str(value) if isinstance(value, Path) else value
 
     return plain(dataclasses.asdict(settings))

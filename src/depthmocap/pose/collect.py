@@ -8,7 +8,7 @@ import dataclasses
 import itertools
 import json
 import zipfile
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -122,6 +122,23 @@ def read_samples(folder: Path, settings: PoseSamples) -> Collected:
         InputError: when the folder holds no samples, or none of so many views.
     """
     return _read(sorted(folder.glob("[0-9]*.npz")), settings)
+
+
+def with_parts_of(samples: Collected, others: Sequence[Collected]) -> Collected:
+    """Samples with those of others behind them, as the voting network learns from; the paper's features are the first
+    ones' alone. Where some have more cameras, the others' lack what those saw."""
+    every = [samples, *others]
+    views = max(each.parts[LABELS[0]].shape[1] for each in every)
+
+    def padded(parts: ndarray) -> ndarray:
+        return np.pad(parts, ((0, 0), (0, views - parts.shape[1]), (0, 0), (0, 0)))
+
+    return dataclasses.replace(
+        samples,
+        parts={labels: np.concatenate([padded(each.parts[labels]) for each in every]) for labels in LABELS},
+        joints=np.concatenate([each.joints for each in every]),
+        groups=np.concatenate([each.groups for each in every]),
+    )
 
 
 def _samples(settings: PoseSamples, first: int) -> Generator[Sample, None, None]:

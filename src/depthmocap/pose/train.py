@@ -13,7 +13,7 @@ from rich.console import Console
 
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.pose.cloud import LABELS, Labels
-from depthmocap.pose.collect import Collected, PoseSamples, collect
+from depthmocap.pose.collect import Collected, PoseSamples, collect, read_samples, with_parts_of
 from depthmocap.pose.ridge import RidgeBank, fit_ridge
 from depthmocap.settings import plain_settings
 
@@ -34,7 +34,10 @@ class PoseTraining:
             settings.json and for the samples.
         estimators: which are fitted: votes (extra: train), ridge or all.
         minutes: how long the voting network is trained.
+        learning_rate: its peak, of the voting network.
         start: a votes.safetensors that its training goes on from.
+        earlier: folders of samples collected before (of other weights, of other postures), from which the voting
+            network learns as well.
         bfloat16: multiply matrices in half precision; some processors are faster without.
     """
 
@@ -42,6 +45,8 @@ class PoseTraining:
     source: tyro.conf.OmitArgPrefixes[PoseSamples] = dataclasses.field(default_factory=PoseSamples)
     estimators: Estimators = "all"
     minutes: float = 15.0
+    learning_rate: float = 1.5e-3
+    earlier: tuple[Path, ...] = ()
     start: Path | None = None
     bfloat16: bool = True
 
@@ -67,7 +72,10 @@ def train_pose(settings: PoseTraining, console: Console | None = None) -> list[P
     if settings.estimators != "ridge":
         from depthmocap.pose.votes_train import VotesTraining, train_votes
 
-        training = VotesTraining(minutes=settings.minutes, start=settings.start, bfloat16=settings.bfloat16)
+        training = VotesTraining(
+            settings.minutes, settings.learning_rate, start=settings.start, bfloat16=settings.bfloat16
+        )
+        samples = with_parts_of(samples, [read_samples(folder, PoseSamples(views=())) for folder in settings.earlier])
         written.append(train_votes(samples, training, settings.source.seed, settings.out, console))
     return written
 
