@@ -168,8 +168,11 @@ def _vary(posture: Float[ndarray, "20 3"], variation: Variation, rng: np.random.
     if rng.random() < variation.mirror:
         posture = mirror_posture(posture)
     posture = posture + rng.normal(0, variation.noise_rad, posture.shape)
-    if variation.touch > 0 and rng.random() < variation.touch:
-        posture = hands_on_body(posture, rng)
+    if variation.touch > 0:
+        # By a generator of its own, so that nothing else of a seed's people depends on it.
+        (own,) = rng.spawn(1)
+        if own.random() < variation.touch:
+            posture = hands_on_body(posture, own)
     if variation.tilt > 0 and rng.random() < variation.tilt:
         side, angle = rng.uniform(-np.pi, np.pi), rng.uniform(0, np.pi)
         tilt = Rotation.from_rotvec([angle * np.cos(side), angle * np.sin(side), 0])
