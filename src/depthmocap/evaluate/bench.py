@@ -30,7 +30,8 @@ from depthmocap.synth.sample import BENCH, Recipe
 @dataclasses.dataclass(frozen=True)
 class BenchEvaluation(Outputs):
     """Accuracy of labels and joints on the project's own test sets: people of all builds in clothes, any sensor with
-    its errors, cameras anywhere around; then clothes and a sensor that training never shows, and hands on the body.
+    its errors, cameras anywhere around; then clothes and a sensor that training never shows, and people who sit
+    or lay hands on themselves.
 
     Attributes:
         postures: folder of motion capture clips, or a pool made of them, of which the test split is taken; without it

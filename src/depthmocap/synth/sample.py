@@ -122,6 +122,7 @@ class Recipe:
         scene: what is around the person: "off" nothing, "training" things that hide and cling, "full" furnished rooms.
         cameras: where they stand.
         held_out_clothes: everybody wears the family of garments that is kept out of training.
+        seated: everybody sits.
         hands_on_body: everybody who can lays a hand or both on themselves: folded arms, hands on hips, at the chin.
     """
 
@@ -135,6 +136,7 @@ class Recipe:
     scene: Literal["off", "training", "full"] = "off"
     cameras: CameraRange = CameraRange()
     held_out_clothes: bool = False
+    seated: bool = False
     hands_on_body: bool = False
 
     def __post_init__(self) -> None:
@@ -156,12 +158,13 @@ class Recipe:
 
 
 _BENCH = Recipe("open", "test", sensors=(ANY_SENSOR,), noise="sensor", cameras=CameraRange(roll_rad=0.03))
-#: The project's own test sets: what training shows; clothes and a sensor that it never shows; and people who touch
-#: themselves, which recordings hardly show.
+#: The project's own test sets: what training shows; clothes and a sensor that it never shows; and people who sit or
+#: touch themselves, which recordings hardly show.
 BENCH: dict[str, Recipe] = {
     "seen": _BENCH,
     "new clothes": dataclasses.replace(_BENCH, held_out_clothes=True),
     "new sensor": dataclasses.replace(_BENCH, sensors=(HELD_OUT_SENSOR,)),
+    "seated": dataclasses.replace(_BENCH, seated=True),
     "hands on body": dataclasses.replace(_BENCH, hands_on_body=True),
 }
 
@@ -217,6 +220,8 @@ class Sampler:
         check_seed(seed)
         self.recipe, self.seed = recipe, seed
         variation = TRAINING_VARIATION if recipe.vary else Variation(mirror=0.5)
+        if recipe.seated:
+            variation = dataclasses.replace(variation, sit=1.0)
         if recipe.hands_on_body:
             variation = dataclasses.replace(variation, touch=1.0)
         self._postures = posture_source(recipe.postures, recipe.split, recipe.subset == "easy", variation)

@@ -254,7 +254,7 @@ def test_tilted_bodies() -> None:
 def test_walking_and_running_people_keep_their_limbs_and_stand() -> None:
     prior = posture_source(None, "train", simple=True, variation=TRAINING_VARIATION)
     assert isinstance(prior, PosturePrior)
-    assert prior.variation == dataclasses.replace(TRAINING_VARIATION, limb=0.0, tilt=0.0, touch=0.0)
+    assert prior.variation == dataclasses.replace(TRAINING_VARIATION, limb=0.0, tilt=0.0, sit=0.0, touch=0.0)
 
 
 def test_simple_clips_alone() -> None:

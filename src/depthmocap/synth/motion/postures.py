@@ -28,6 +28,7 @@ from depthmocap.synth.motion.clips.motion import reason
 from depthmocap.synth.motion.limits import bone_axis
 from depthmocap.synth.motion.mocap import Clip, ClipFolder, SkippedClip, check_any_read, without_heading
 from depthmocap.synth.motion.pool import NOT_NPZ, PosturePool, read_npz
+from depthmocap.synth.motion.seat import seated
 from depthmocap.synth.motion.touch import hands_on_body
 
 _LOG = logging.getLogger(__name__)
@@ -63,6 +64,7 @@ class Variation:
         noise_rad: deviation of every rotation.
         limb: share of arms and legs, each by itself, that are another posture's.
         tilt: share of bodies that are tilted as a whole, by any angle to any side: lying, falling, upside down.
+        sit: share of bodies whose legs are those of somebody who sits.
         touch: share of bodies that lay one or both hands on themselves.
     """
 
@@ -71,15 +73,16 @@ class Variation:
     noise_rad: float = 0.0
     limb: float = 0.0
     tilt: float = 0.0
+    sit: float = 0.0
     touch: float = 0.0
 
     def of(self, simple: bool) -> Variation:
         """The same for people who walk and run: they keep their limbs and stand."""
-        return dataclasses.replace(self, limb=0.0, tilt=0.0, touch=0.0) if simple else self
+        return dataclasses.replace(self, limb=0.0, tilt=0.0, sit=0.0, touch=0.0) if simple else self
 
 
 #: For training: more postures than were recorded.
-TRAINING_VARIATION = Variation(mirror=0.5, recombine=0.25, noise_rad=0.06, limb=0.2, tilt=0.12, touch=0.3)
+TRAINING_VARIATION = Variation(mirror=0.5, recombine=0.25, noise_rad=0.06, limb=0.2, tilt=0.12, sit=0.12, touch=0.3)
 
 
 def joint_positions(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n 20 3"]:
@@ -168,11 +171,11 @@ def _vary(posture: Float[ndarray, "20 3"], variation: Variation, rng: np.random.
     if rng.random() < variation.mirror:
         posture = mirror_posture(posture)
     posture = posture + rng.normal(0, variation.noise_rad, posture.shape)
-    if variation.touch > 0:
-        # By a generator of its own, so that nothing else of a seed's people depends on it.
+    # By generators of their own, so that nothing else of a seed's people depends on these.
+    for share, change in ((variation.sit, seated), (variation.touch, hands_on_body)):
         (own,) = rng.spawn(1)
-        if own.random() < variation.touch:
-            posture = hands_on_body(posture, own)
+        if own.random() < share:
+            posture = change(posture, own)
     if variation.tilt > 0 and rng.random() < variation.tilt:
         side, angle = rng.uniform(-np.pi, np.pi), rng.uniform(0, np.pi)
         tilt = Rotation.from_rotvec([angle * np.cos(side), angle * np.sin(side), 0])
