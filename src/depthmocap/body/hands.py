@@ -6,13 +6,15 @@ alone afterwards: no posture needs to tell more than the wrist."""
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from depthmocap.body.model import Body, BodyModel
+from depthmocap.kernels.skin import skin
 
 #: Bends of the three bones of a finger in a fist, and of a thumb (radians), away from the mesh's rest pose, in which
 #: fingers are nearly straight.
@@ -59,14 +61,21 @@ def with_hands(body: Body, right: Grip, left: Grip) -> Body:
     for side, grip in (("R", right), ("L", left)):
         _bend(model, body.rest_heads, side, grip, rotations, heads)
     offsets = heads - np.einsum("bij,bj->bi", rotations, body.rest_heads)
-    moved = np.flatnonzero(np.abs(rotations - np.eye(3)).max((1, 2)) > 0)
-    touched = (np.isin(model.skin_indices, moved) & (model.skin_weights > 0)).any(1)
-    indices, weights = model.skin_indices[touched], model.skin_weights[touched]
-    points = body.rest_vertices[touched]
-    places = np.einsum("vkij,vj->vki", rotations[indices], points) + offsets[indices]
-    vertices = body.rest_vertices.copy()
-    vertices[touched] = np.einsum("vk,vki->vi", weights, places)
+    vertices, touched = body.rest_vertices.copy(), _finger_vertices(model)
+    moved = np.empty((len(touched), 3), vertices.dtype)
+    skin(
+        vertices[touched], model.skin_indices[touched], model.skin_weights[touched],
+        rotations.astype(np.float32), offsets.astype(np.float32), moved,
+    )  # fmt: skip
+    vertices[touched] = moved
     return body.with_vertices(vertices)
+
+
+@functools.lru_cache(maxsize=1)
+def _finger_vertices(model: BodyModel) -> Int[ndarray, "n"]:
+    """The vertices that fingers move."""
+    fingers = [i for i, name in enumerate(model.bone_names) if name.startswith("finger")]
+    return np.flatnonzero((np.isin(model.skin_indices, fingers) & (model.skin_weights > 0)).any(1))
 
 
 def _bend(
