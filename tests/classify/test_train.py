@@ -1,4 +1,4 @@
-"""Training of the paper's network: its optimiser, its windows, resuming."""
+"""Training: the optimiser, the paper's windows, resuming, what is kept."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnxscript")
+
+from safetensors.torch import load_file, save_file  # noqa: E402
 
 from depthmocap.body.model import BodyModel  # noqa: E402
 from depthmocap.body.regions import UNLABELLED  # noqa: E402
@@ -95,6 +97,33 @@ def test_the_papers_network_learns_resumes_and_exports(
 def test_average_that_cannot_be(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--average must be from 0"):
         train_classifier(ClassifierTraining(tmp_path, average=1.0))
+
+
+def test_what_is_kept_is_blended_with_what_it_started_from(body_model: BodyModel, tmp_path: Path) -> None:
+    torch.manual_seed(1)
+    started = FastNet()
+    state = {k: v + 0.1 if v.is_floating_point() else v for k, v in started.state_dict().items()}
+    start = tmp_path / "start.safetensors"
+    save_file(state, start)
+    settings = ClassifierTraining(
+        tmp_path / "run", images=16, batch=16, start=start, valid_images=1, workers=0, average=0.0
+    )
+    train_classifier(settings)
+    kept = load_file(tmp_path / "run" / "classifier.safetensors")
+    # Run again, nothing is learnt any more, and what is exported is blended.
+    train_classifier(dataclasses.replace(settings, blend=0.25))
+    blended = load_file(tmp_path / "run" / "classifier.safetensors")
+    for name, now in blended.items():
+        if now.is_floating_point():
+            expected = 0.75 * kept[name].float() + 0.25 * state[name].float()
+            torch.testing.assert_close(now.float(), expected, rtol=2e-3, atol=2e-3)
+    assert any((blended[name] != kept[name]).any() for name in kept)
+
+
+@pytest.mark.parametrize("change", [{"blend": 1.0}, {"blend": -0.1}, {"blend": 0.5}])
+def test_blends_that_cannot_be(change: dict, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--blend must be from 0 to less than 1, and asks for a --start"):
+        train_classifier(dataclasses.replace(ClassifierTraining(tmp_path), **change))
 
 
 def test_joint_loss() -> None:
