@@ -72,7 +72,7 @@ def test_depends_on_seed_and_index_alone(windows: list[data.LabelledWindow]) -> 
 
 def _share(spoiling: Spoiling | None, label: int) -> float:
     """Share of a label in the masks of some windows, each of another person: outfits differ far more than views."""
-    drawn = [window(index * data._WINDOWS_A_PERSON, spoiling) for index in range(12)]
+    drawn = [window(index * data._WINDOWS_A_PERSON, spoiling) for index in range(24)]
     return float(np.mean([(labels[inputs[1] > 0] == label).mean() for inputs, labels, _ in drawn]))
 
 
