@@ -41,12 +41,12 @@ def claim_folder(folder: Path, settings: Any, what: str, free: Collection[str]) 
     Raises:
         InputError: when the folder holds something of other settings.
     """
-    mine = {name: value for name, value in plain_settings(settings).items() if name not in free}
+    plain = {name: value for name, value in plain_settings(settings).items() if name not in free}
+    mine = json.loads(json.dumps(plain))  # which has lists for tuples
     path = folder / "settings.json"
     if path.exists():
         theirs = json.loads(path.read_text())
-        # JSON has lists for tuples.
-        differ = [name for name, value in mine.items() if theirs.get(name) != json.loads(json.dumps(value))]
+        differ = [name for name, value in mine.items() if theirs.get(name) != value]
         if differ:
             options = ", ".join(f"--{name.replace('_', '-')} {theirs.get(name)}" for name in differ)
             raise InputError(f"{folder} holds {what} with {options}: use the same, or another --out")

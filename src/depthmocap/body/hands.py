@@ -14,6 +14,7 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from depthmocap.body.model import Body, BodyModel
+from depthmocap.geometry.transforms import unit
 from depthmocap.kernels.skin import skin
 
 #: Bends of the three bones of a finger in a fist, and of a thumb (radians), away from the mesh's rest pose, in which
@@ -89,18 +90,18 @@ def _bend(
     """Rotations of the finger bones of a hand away from rest, and where their heads then are."""
     fingers = np.array([[model.bone_names.index(f"finger{i}-{j}.{side}") for j in (1, 2, 3)] for i in range(1, 6)])
     wrist = rest[model.bone_names.index(f"wrist.{side}")]
-    along = _unit(rest[fingers[2, 0]] - wrist)
-    across = _unit(rest[fingers[4, 0]] - rest[fingers[1, 0]])
+    along = unit(rest[fingers[2, 0]] - wrist)
+    across = unit(rest[fingers[4, 0]] - rest[fingers[1, 0]])
     # Out of the palm: the side that the thumb's tip is on.
-    palm = _unit(np.cross(along, across))
+    palm = unit(np.cross(along, across))
     palm *= np.sign(palm @ (rest[fingers[0, 2]] - rest[fingers[1, 0]]))
     apart = palm * -np.sign(np.cross(palm, along) @ across)
     # The thumb closes over the middle of the bent fingers.
     target = rest[fingers[2, 0]] + palm * np.linalg.norm(rest[fingers[2, 1]] - rest[fingers[2, 0]])
     for i, bones in enumerate(fingers):
-        direction = _unit(rest[bones[2]] - rest[bones[0]])
+        direction = unit(rest[bones[2]] - rest[bones[0]])
         towards, angles = (target - rest[bones[0]], _THUMB_FIST) if i == 0 else (palm, _FIST)
-        axis = _unit(np.cross(direction, towards))
+        axis = unit(np.cross(direction, towards))
         turn = Rotation.from_rotvec(apart * grip.spread_rad * _SPREAD[i])
         head = rest[bones[0]]
         for j, bone in enumerate(bones):
@@ -109,7 +110,3 @@ def _bend(
             heads[bone] = head
             if j < 2:
                 head = head + turn.apply(rest[bones[j + 1]] - rest[bone])
-
-
-def _unit(vector: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
-    return vector / np.linalg.norm(vector)

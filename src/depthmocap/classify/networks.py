@@ -145,6 +145,13 @@ Network = FastNet | PaperNet
 NETWORKS: dict[str, type[FastNet] | type[PaperNet]] = {"fast": FastNet, "paper": PaperNet}
 
 
+def _by_squares(images: Tensor, side: int) -> Tensor:
+    """Pixels (n, h, w) by squares, (squares, side²), image after image in row-major order; zeros beyond an image."""
+    beyond = (0, -images.shape[-1] % side, 0, -images.shape[-2] % side)
+    squares = nn.functional.pixel_unshuffle(nn.functional.pad(images[:, None], beyond), side)
+    return squares.permute(0, 2, 3, 1).flatten(0, 2)
+
+
 def masked_outputs(network: Network, x: Tensor, labels: Tensor, mask: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
     """Logits (m, 44) and labels (m,) of the masked pixels alone, and the joints (n, 18, 4) of a network that tells
     them.
@@ -158,15 +165,11 @@ def masked_outputs(network: Network, x: Tensor, labels: Tensor, mask: Tensor) ->
         mask: (n, h, w) bool.
     """
     if isinstance(network, PaperNet):
-        side = network.up1.stride[0]
-        beyond = [0, -mask.shape[-1] % side, 0, -mask.shape[-2] % side]
-        squares = [nn.functional.pad(each[:, None].to(torch.uint8), beyond) for each in (mask, labels)]
-        mask, labels = (nn.functional.pixel_unshuffle(each, side).permute(0, 2, 3, 1).flatten() for each in squares)
+        mask, labels = (_by_squares(each, network.up1.stride[0]).flatten() for each in (mask.to(torch.uint8), labels))
         pixels = mask.nonzero()[:, 0]
         return network.squares(x).flatten(0, 3).index_select(0, pixels), labels.index_select(0, pixels), None
     fine, coarse = network.features(x)
-    mask4 = nn.functional.pixel_unshuffle(mask[:, None].to(torch.uint8), 2).permute(0, 2, 3, 1).reshape(-1, 4)
-    labels4 = nn.functional.pixel_unshuffle(labels[:, None], 2).permute(0, 2, 3, 1).reshape(-1, 4)
+    mask4, labels4 = _by_squares(mask.to(torch.uint8), 2), _by_squares(labels, 2)
     groups = mask4.any(1).nonzero()[:, 0]
     pixels = mask4[groups].flatten().nonzero()[:, 0]
     chosen = network.group_logits(fine, groups).flatten(0, 1).index_select(0, pixels)

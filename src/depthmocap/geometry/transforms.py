@@ -13,6 +13,11 @@ def transform_points(b_from_a: Float[ndarray, "4 4"], points_a: Float[ndarray, "
     return points_a @ b_from_a[:3, :3].T + b_from_a[:3, 3]
 
 
+def unit(vector: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
+    """A vector's direction; zero where it has none."""
+    return vector / max(float(np.linalg.norm(vector)), 1e-9)
+
+
 def rigid_inverse(b_from_a: Float[ndarray, "4 4"]) -> Float[ndarray, "4 4"]:
     """Inverse of a rigid transform."""
     a_from_b = np.eye(4)

@@ -7,9 +7,11 @@ import pytest
 
 from depthmocap.body.model import REST_POSTURE, Body
 from depthmocap.body.posture import POSTURE_BONES, turn_posture
+from depthmocap.body.regions import MIRROR, REGION
+from depthmocap.geometry.transforms import rotation_between
 from depthmocap.synth.motion.limits import within_limits
 from depthmocap.synth.motion.postures import PosturePrior, Variation
-from depthmocap.synth.motion.touch import _of, _swing, _through_trunk, hands_on_body
+from depthmocap.synth.motion.touch import _skin, _through_trunk, hands_on_body
 
 ARMS = [i for i, name in enumerate(POSTURE_BONES) if name.split(".")[0] in ("upper_arm", "forearm", "hand")]
 
@@ -78,17 +80,20 @@ def test_arms_do_not_pass_through_the_trunk() -> None:
 def test_swings_turn_one_direction_into_another() -> None:
     rng = np.random.default_rng(0)
     for a, b in [*rng.normal(size=(20, 2, 3)), (np.array([1.0, 0, 0]), np.array([-2.0, 0, 0]))]:
-        turn = _swing(a, b)
+        turn = rotation_between(a, b)
         np.testing.assert_allclose(turn @ a / np.linalg.norm(a), b / np.linalg.norm(b), atol=1e-6)
         np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-9)
         assert np.linalg.det(turn) == pytest.approx(1)
 
 
 def test_the_left_hands_places_are_the_rights_mirrored() -> None:
-    assert _of("R", "thigh R") == "thigh R"
-    assert _of("L", "thigh R") == "thigh L"
-    assert _of("L", "upper arm L") == "upper arm R"
-    assert _of("L", "neck front") == "neck front"
+    for name, other in (("thigh R", "thigh L"), ("upper arm L", "upper arm R"), ("neck front", "neck front")):
+        assert MIRROR[REGION[name]] == REGION[other]
+    skin = _skin()
+    regions = np.asarray(skin.body.model.face_regions)
+    for right, left in zip(skin.faces["R"], skin.faces["L"], strict=True):
+        assert set(MIRROR[regions[right]]) == set(regions[left])
+    assert REGION["thigh R"] in regions[skin.faces["R"][0]] and REGION["thigh R"] not in regions[skin.faces["L"][0]]
 
 
 def test_who_walks_and_runs_does_not() -> None:

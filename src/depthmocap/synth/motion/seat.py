@@ -28,14 +28,14 @@ def seated(posture: Float[ndarray, "20 3"], rng: np.random.Generator) -> Float[n
     out[_PELVIS] = (turn * Rotation.from_euler("XY", [lean, rng.normal(0, 0.08)])).as_rotvec()
     lifted = np.radians(rng.uniform(75, 105))
     apart = np.radians(rng.uniform(-2, 25))
+    upright = Rotation.from_rotvec([lean, 0, 0]).inv()
     crossed = "RL"[int(rng.integers(2))] if rng.random() < _CROSSED else ""
     for side, outwards in (("R", -1.0), ("L", 1.0)):
         over = side == crossed
         lift = lifted + rng.normal(0, 0.08) + (np.radians(15) if over else 0.0)
         spread = outwards * (np.radians(rng.uniform(-30, -15)) if over else apart + rng.normal(0, 0.06))
         # About the vertical after the lift, whatever the lean of the pelvis.
-        upright = Rotation.from_rotvec([lean, 0, 0])
-        thigh = upright.inv() * Rotation.from_rotvec([0, 0, spread]) * Rotation.from_rotvec([-lift, 0, 0])
+        thigh = upright * Rotation.from_rotvec([0, 0, spread]) * Rotation.from_rotvec([-lift, 0, 0])
         bend = np.clip(lift + np.radians(rng.normal(0, 18)) - (np.radians(35) if over else 0.0), 0.2, 2.4)
         out[POSTURE_INDEX[f"thigh.{side}"]] = thigh.as_rotvec()
         out[POSTURE_INDEX[f"shin.{side}"]] = [bend, rng.normal(0, 0.1), rng.normal(0, 0.05)]

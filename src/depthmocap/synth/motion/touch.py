@@ -12,9 +12,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from depthmocap.body.model import Body, BodyModel, Phenotype
+from depthmocap.body.model import Body, BodyModel, BoneTransforms, Phenotype
 from depthmocap.body.posture import POSTURE_INDEX, local_rotations, world_rotations
-from depthmocap.body.regions import REGION
+from depthmocap.body.regions import MIRROR, REGION
+from depthmocap.geometry.transforms import rotation_between, unit
 from depthmocap.synth.motion.limits import within_limits
 
 #: Where hands go and how often: regions of the right hand's own side and of the other (R and L exchanged for the left).
@@ -56,19 +57,12 @@ class _Skin:
         }
         self.pelvis, self.neck = (model.bone_names.index(bone) for bone in ("root", "neck01"))
         regions = np.asarray(model.face_regions)
+        places = [np.array([REGION[name] for name in names]) for _, names in _PLACES]
         #: Triangles of every place, for the hand of a side.
         self.faces = {
-            side: [
-                np.flatnonzero(np.isin(regions, [REGION[_of(side, name)] for name in names])) for _, names in _PLACES
-            ]
+            side: [np.flatnonzero(np.isin(regions, MIRROR[own] if side == "L" else own)) for own in places]
             for side in "RL"
         }
-
-
-def _of(side: str, name: str) -> str:
-    """A region of the right hand's table as the hand of a side has it."""
-    own, _, of = name.rpartition(" ")
-    return f"{own} {'RL'['LR'.index(of)]}" if side == "L" and of in ("R", "L") else name
 
 
 @functools.cache
@@ -80,19 +74,25 @@ def hands_on_body(posture: Float[ndarray, "20 3"], rng: np.random.Generator) -> 
     """The posture with one or both hands on the body, where they reach it and no arm passes through the trunk."""
     sides = ["R", "L"] if rng.random() < 0.5 else ["L", "R"]
     for side in sides[: 2 if rng.random() < 0.6 else 1]:
+        world, moved = world_rotations(posture), _skin().body.bone_transforms(posture)
         for _ in range(_TRIES):
-            touching = _touch(posture, side, rng)
+            touching = _touch(posture, world.copy(), moved, side, rng)
             if touching is not None and within_limits(touching[None])[0]:
                 posture = touching
                 break
     return posture
 
 
-def _touch(posture: Float[ndarray, "20 3"], side: str, rng: np.random.Generator) -> Float[ndarray, "20 3"] | None:
-    """One arm bent towards a random point of the skin; None where it does not reach or would pass through the trunk."""
+def _touch(
+    posture: Float[ndarray, "20 3"],
+    world: Float[ndarray, "20 3 3"],
+    moved: BoneTransforms,
+    side: str,
+    rng: np.random.Generator,
+) -> Float[ndarray, "20 3"] | None:
+    """One arm bent towards a random point of the skin; None where it does not reach or would pass through the trunk.
+    ``world``, the rotations of the posture, is changed."""
     skin = _skin()
-    world = world_rotations(posture)
-    moved = skin.body.bone_transforms(posture)
     shoulder, elbow, wrist = (moved.heads[bone] for bone in skin.chain[side])
     place = int(rng.choice(len(_PLACES), p=[share for share, _ in _PLACES]))
     face = int(rng.choice(skin.faces[side][place]))
@@ -100,7 +100,7 @@ def _touch(posture: Float[ndarray, "20 3"], side: str, rng: np.random.Generator)
     normal = moved.rotations[bone] @ skin.normals[face]
     point = moved.rotations[bone] @ skin.points[face] + moved.offsets[bone]
     # The fingers point away from the elbow, which is not known yet: about away from the shoulder, along the skin.
-    ahead = _unit(_across(point - shoulder + rng.normal(0, 0.1, 3), normal))
+    ahead = unit(_across(point - shoulder + rng.normal(0, 0.1, 3), normal))
     target = point + normal * rng.uniform(*_ABOVE_M) - ahead * rng.uniform(0, _PALM_M)
 
     upper, lower = np.linalg.norm(elbow - shoulder), np.linalg.norm(wrist - elbow)
@@ -112,7 +112,7 @@ def _touch(posture: Float[ndarray, "20 3"], side: str, rng: np.random.Generator)
     out = -1.0 if side == "R" else 1.0
     down, outwards, back = rng.uniform(0.2, 1), rng.uniform(0, 1.2), rng.uniform(-0.3, 0.6)
     reach = reach / distance
-    pole = _unit(_across(trunk @ np.array([out * outwards, back, -down]), reach))
+    pole = unit(_across(trunk @ np.array([out * outwards, back, -down]), reach))
     along = (upper**2 - lower**2 + distance**2) / (2 * distance)
     bent = shoulder + reach * along + pole * np.sqrt(max(upper**2 - along**2, 0.0))
     if _through_trunk(np.stack([bent, (bent + target) / 2, target]), moved.heads[[skin.pelvis, skin.neck]], trunk):
@@ -120,11 +120,11 @@ def _touch(posture: Float[ndarray, "20 3"], side: str, rng: np.random.Generator)
 
     arm, forearm, hand = (POSTURE_INDEX[f"{name}.{side}"] for name in ("upper_arm", "forearm", "hand"))
     carried = world[forearm].T @ world[hand]
-    world[arm] = _swing(elbow - shoulder, bent - shoulder) @ world[arm]
-    world[forearm] = _swing(wrist - elbow, target - bent) @ world[forearm]
+    world[arm] = rotation_between(elbow - shoulder, bent - shoulder) @ world[arm]
+    world[forearm] = rotation_between(wrist - elbow, target - bent) @ world[forearm]
     world[hand] = world[forearm] @ carried
-    fingers = _unit(world[hand] @ skin.fingers[side])
-    world[hand] = _swing(fingers, _across(fingers, normal) + 0.3 * fingers) @ world[hand]
+    fingers = unit(world[hand] @ skin.fingers[side])
+    world[hand] = rotation_between(fingers, _across(fingers, normal) + 0.3 * fingers) @ world[hand]
     bent_arm = posture.copy()
     bent_arm[[arm, forearm, hand]] = local_rotations(world)[[arm, forearm, hand]]
     return bent_arm
@@ -139,21 +139,6 @@ def _through_trunk(points: Float[ndarray, "n 3"], ends: Float[ndarray, "2 3"], t
     return bool(inside.any())
 
 
-def _unit(vector: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
-    return vector / max(float(np.linalg.norm(vector)), 1e-9)
-
-
 def _across(vector: Float[ndarray, "3"], axis: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
     """The part of a vector that is at a right angle to a unit axis."""
     return vector - axis * (vector @ axis)
-
-
-def _swing(start: Float[ndarray, "3"], end: Float[ndarray, "3"]) -> Float[ndarray, "3 3"]:
-    """The smallest rotation that turns one direction into another."""
-    a, b = _unit(start), _unit(end)
-    axis, cosine = np.cross(a, b), float(a @ b)
-    if cosine < -0.9999:  # any axis across does
-        axis = _unit(np.cross(a, np.eye(3)[np.abs(a).argmin()]))
-        return 2 * np.outer(axis, axis) - np.eye(3)
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    return np.eye(3) + cross + cross @ cross / (1 + cosine)

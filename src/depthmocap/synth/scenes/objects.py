@@ -16,6 +16,7 @@ from numpy import ndarray
 from depthmocap.body.model import BodyModel
 from depthmocap.body.regions import REGION_NAMES
 from depthmocap.body.skeleton import JOINT_INDEX
+from depthmocap.geometry.transforms import unit
 from depthmocap.synth.render import Material, PosedPerson
 from depthmocap.synth.scenes.solids import NONE, Solids, above, box, capsule, chain, cylinder, ellipsoid, join
 
@@ -37,17 +38,13 @@ def vertices_of(model: BodyModel, kinds: tuple[str, ...], side: str = "") -> Boo
 _ARM = ("hand", "wrist", "forearm")
 
 
-def _unit(vector: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
-    return vector / max(float(np.linalg.norm(vector)), 1e-9)
-
-
 def axes_of(z: Float[ndarray, "3"], x_hint: Float[ndarray, "3"]) -> Float[ndarray, "3 3"]:
     """A rotation whose z axis is ``z`` and whose x axis is as near to ``x_hint`` as that allows."""
-    z = _unit(z)
+    z = unit(z)
     x = x_hint - (x_hint @ z) * z
     if np.linalg.norm(x) < 1e-3:
         x = np.cross(z, [0.3, 0.8, 0.5])
-    x = _unit(x)
+    x = unit(x)
     return np.stack([x, np.cross(z, x), z], 1)
 
 
@@ -83,7 +80,7 @@ def _hand(person: PosedPerson, side: str) -> _Hand:
     palms = {}
     for s in "RL":
         wrist, elbow = joints[JOINT_INDEX[f"{s}Hand"]], joints[JOINT_INDEX[f"{s}Elbow"]]
-        palms[s] = (wrist, _unit(wrist - elbow), float(np.linalg.norm(wrist - elbow)) / _FOREARM_M)
+        palms[s] = (wrist, unit(wrist - elbow), float(np.linalg.norm(wrist - elbow)) / _FOREARM_M)
     (wrist, forearm, scale), far = palms[side], palms["L" if side == "R" else "R"]
     return _Hand(
         wrist + 0.085 * scale * forearm, forearm, far[0] + 0.085 * far[2] * far[1], trunk_axes(joints),
@@ -155,7 +152,7 @@ def _stick(rng: np.random.Generator, hand: _Hand) -> Solids:
 
 def _racket(rng: np.random.Generator, hand: _Hand) -> Solids:
     """A racket or a pan, 0.35–0.7 long, which goes on from the forearm."""
-    along = _unit(hand.forearm + rng.normal(0, 0.4, 3))
+    along = unit(hand.forearm + rng.normal(0, 0.4, 3))
     handle, radius = rng.uniform(0.12, 0.35), rng.uniform(0.08, 0.15)
     turn = axes_of(along, rng.normal(size=3))
     centre = hand.palm + (handle + radius) * along
