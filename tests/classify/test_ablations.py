@@ -50,7 +50,7 @@ def test_networks_lack_what_they_shall() -> None:
     for each in (bare, network("width")):
         probabilities, joints = each.eval()(x)
         assert probabilities.shape == (5 * 10, 4, 44) and joints.shape == (1, 18, 4)
-    with pytest.raises(InputError, match="--without is for the fast network"):
+    with pytest.raises(InputError, match="--without is for our networks"):
         make_network(ClassifierTraining(Path("x"), network="paper", without=("norm",)))
 
 
@@ -77,6 +77,10 @@ def test_pictures_lack_what_they_shall(body_model: BodyModel) -> None:
         for some in (pictures("clothes", "spoiling", "errors"), alone)
     )
     assert smooth < rough
+    for whole, half in zip(spared, pictures("spoiling", "resolution"), strict=True):
+        for row, column in ((0, 0), (1, 0), (0, 1), (1, 1)):
+            np.testing.assert_array_equal(half.inputs[:, row::2, column::2], whole.inputs[:, ::2, ::2])
+        np.testing.assert_array_equal(half.labels, whole.labels)
     # Validation is the same for all.
     for a, b in zip(source().valid(2), source("clothes", "errors", "norm").valid(2), strict=True):
         np.testing.assert_array_equal(a.inputs, b.inputs)

@@ -5,11 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from depthmocap.body.regions import MIRROR
+from depthmocap.body.skeleton import MIRROR as JOINT_MIRROR
+from depthmocap.classify.preprocess import NetworkName
 from depthmocap.kernels.head import label_groups
 
 torch = pytest.importorskip("torch")
 
-from depthmocap.classify.networks import CLASSES, NETWORKS, FastNet, _Groups, _twice, masked_outputs  # noqa: E402
+from depthmocap.classify.networks import (  # noqa: E402
+    CLASSES,
+    NETWORKS,
+    AccurateNet,
+    FastNet,
+    _Groups,
+    _twice,
+    grown,
+    masked_outputs,
+)
 
 
 def small_network() -> FastNet:
@@ -34,10 +46,64 @@ def test_output_shape(size: int) -> None:
     torch.testing.assert_close(probabilities.sum(-1), torch.ones(2, 4))
 
 
-def test_default_network_fits_its_name() -> None:
-    network = NETWORKS["fast"]()
-    parameters = sum(parameter.numel() for parameter in network.parameters())
-    assert 1e6 < parameters < 3e6
+@pytest.mark.parametrize(("name", "fewest", "most"), [("fast", 1e6, 3e6), ("accurate", 5e6, 8e6)])
+def test_networks_fit_their_names(name: NetworkName, fewest: float, most: float) -> None:
+    parameters = sum(parameter.numel() for parameter in NETWORKS[name]().parameters())
+    assert fewest < parameters < most
+
+
+def seasoned(network: FastNet) -> FastNet:
+    """With norms that do something."""
+    with torch.no_grad():
+        for name, tensor in network.state_dict().items():
+            if name.endswith(("running_mean", "running_var", ".1.weight", ".1.bias")):
+                tensor.uniform_(0.3, 1.2)
+    return network.eval()
+
+
+def test_a_larger_network_grows_out_of_a_smaller_one() -> None:
+    small, x = seasoned(small_network()), random_windows(2)
+    torch.manual_seed(1)
+    large = AccurateNet((12, 16, 24, 24, 20), (0, 1, 2, 1, 1))
+    large.load_state_dict(grown(large, small.state_dict()))
+    with torch.no_grad():
+        for found, expected in zip(FastNet.forward(large.eval(), x), small(x), strict=True):
+            torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-4)
+    # What is new learns: first what reads it, then what makes it, one after the other.
+    optimiser = torch.optim.SGD(large.train().parameters(), 1e-3)
+    labels = torch.randint(0, CLASSES, (2, 64, 64))
+    for _ in range(6):
+        optimiser.zero_grad()
+        chosen, truth, joints = masked_outputs(large, x, labels, x[:, 1] > 0)
+        assert joints is not None
+        (torch.nn.functional.cross_entropy(chosen, truth) + joints.square().mean()).backward()
+        optimiser.step()
+    for name, parameter in large.named_parameters():
+        assert parameter.grad is not None and parameter.grad.flatten(1 if parameter.ndim > 1 else 0)[-1].any(), name
+
+
+def test_a_mirrored_window_gets_mirrored_labels() -> None:
+    """From the accurate network, exactly."""
+    torch.manual_seed(2)
+    network, x = seasoned(AccurateNet((8, 12, 16, 16, 16), (0, 1, 0, 1, 0))), random_windows(1)
+    images = []
+    for window in (x, x.flip(-1)):
+        with torch.no_grad():
+            probabilities, joints = network(window)
+        labels, confidence = np.zeros((64, 64), np.uint8), np.zeros((64, 64), np.float32)
+        label_groups(probabilities.numpy(), window[0, 1].numpy() > 0, labels, confidence)
+        images.append((labels, confidence, joints[0]))
+    (labels, confidence, joints), (mirrored, same, others) = images
+    assert len(np.unique(labels)) > 3
+    np.testing.assert_array_equal(MIRROR[labels[:, ::-1]], mirrored)
+    np.testing.assert_allclose(confidence[:, ::-1], same, atol=1e-5)
+    torch.testing.assert_close(joints[JOINT_MIRROR] * torch.tensor([-1.0, 1, 1, 1]), others, atol=1e-5, rtol=1e-4)
+
+
+@pytest.mark.parametrize("other", [FastNet((8, 12, 16, 16, 32), (0, 1, 0, 1, 0)), FastNet((8,) * 5, (0, 0, 0, 3, 0))])
+def test_a_network_that_has_more_cannot_be_grown_out_of(other: FastNet) -> None:
+    with pytest.raises(ValueError, match=r"more than|the network has no down\.2\.2"):
+        grown(small_network(), other.state_dict())
 
 
 def test_pictures_of_a_batch_do_not_mix() -> None:

@@ -14,14 +14,14 @@ pytest.importorskip("onnxscript")
 import onnxruntime  # noqa: E402
 
 from depthmocap.classify.export import export_onnx  # noqa: E402
-from depthmocap.classify.networks import CLASSES, FastNet  # noqa: E402
+from depthmocap.classify.networks import CLASSES, AccurateNet, FastNet  # noqa: E402
 from depthmocap.classify.preprocess import WINDOW  # noqa: E402
 
 
-def seasoned_network() -> FastNet:
+def seasoned_network(kind: type[FastNet]) -> FastNet:
     """A random network whose batch norms do something, as after training."""
     torch.manual_seed(1)
-    network = FastNet()
+    network = kind()
     for module in network.modules():
         if isinstance(module, torch.nn.BatchNorm2d):
             torch.nn.init.uniform_(module.weight, 0.7, 1.5)
@@ -33,9 +33,9 @@ def seasoned_network() -> FastNet:
     return network
 
 
-@pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[FastNet, Path]:
-    network = seasoned_network()
+@pytest.fixture(scope="module", params=[FastNet, AccurateNet])
+def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[FastNet, Path]:
+    network = seasoned_network(request.param)
     path = tmp_path_factory.mktemp("export") / "classifier.onnx"
     assert export_onnx(network, path, {"network": "fast", "images": "0"}) == path
     return network, path

@@ -1,4 +1,4 @@
-"""The packaged network in 8 bits labels as it does in 32."""
+"""The packaged networks in 8 bits label as they do in 32."""
 
 from pathlib import Path
 
@@ -13,22 +13,23 @@ import onnxruntime  # noqa: E402
 
 from depthmocap.classify.data import training_window  # noqa: E402
 from depthmocap.classify.export import export_onnx  # noqa: E402
-from depthmocap.classify.networks import FastNet  # noqa: E402
+from depthmocap.classify.networks import NETWORKS  # noqa: E402
 from depthmocap.classify.quantise import quantise  # noqa: E402
-from depthmocap.classify.runtime import Classifier  # noqa: E402
+from depthmocap.classify.runtime import PACKAGED, Classifier, packaged_weights  # noqa: E402
 from depthmocap.classify.train import load_weights  # noqa: E402
 from depthmocap.synth.motion.postures import posture_source  # noqa: E402
 
 
-def test_same_labels_in_half_the_space(body_model, tmp_path):
-    network = FastNet()
-    load_weights(network, Classifier().path.with_name("fast.safetensors"))
-    source = export_onnx(network.eval(), tmp_path / "classifier.onnx", {"network": "fast"})
+@pytest.mark.parametrize("name", PACKAGED)
+def test_same_labels_in_half_the_space(body_model, tmp_path, name):
+    network = NETWORKS[name]()
+    load_weights(network, packaged_weights(name).with_suffix(".safetensors"))
+    source = export_onnx(network.eval(), tmp_path / "classifier.onnx", {"network": name})
     postures = posture_source(None, "train")
     windows = [training_window(3, i, "open", postures, None).inputs for i in range(12)]
     path = quantise(source, windows[:8], tmp_path / "int8.onnx")
     assert path.stat().st_size < 0.6 * source.stat().st_size
-    assert {e.key: e.value for e in onnx.load(path).metadata_props} == {"network": "fast", "precision": "int8"}
+    assert {e.key: e.value for e in onnx.load(path).metadata_props} == {"network": name, "precision": "int8"}
     Classifier(path)  # a classifier like any other
 
     seen = windows[8:]

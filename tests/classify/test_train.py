@@ -17,9 +17,9 @@ from safetensors.torch import load_file, save_file  # noqa: E402
 from depthmocap.body.model import BodyModel  # noqa: E402
 from depthmocap.body.regions import UNLABELLED  # noqa: E402
 from depthmocap.classify import train  # noqa: E402
-from depthmocap.classify.networks import FastNet  # noqa: E402
+from depthmocap.classify.networks import AccurateNet, FastNet  # noqa: E402
 from depthmocap.classify.paper import PaperNet  # noqa: E402
-from depthmocap.classify.runtime import Classifier  # noqa: E402
+from depthmocap.classify.runtime import Classifier, packaged_weights  # noqa: E402
 from depthmocap.classify.train import (  # noqa: E402
     ClassifierTraining,
     _make_optimiser,
@@ -118,6 +118,28 @@ def test_what_is_kept_is_blended_with_what_it_started_from(body_model: BodyModel
             expected = 0.75 * kept[name].float() + 0.25 * state[name].float()
             torch.testing.assert_close(now.float(), expected, rtol=2e-3, atol=2e-3)
     assert any((blended[name] != kept[name]).any() for name in kept)
+
+
+def test_the_accurate_network_starts_from_the_fast_one(
+    body_model: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(train, "_CALIBRATION", 2)
+    start = packaged_weights("fast").with_suffix(".safetensors")
+    settings = ClassifierTraining(
+        tmp_path / "run", network="accurate", images=16, batch=16, start=start, valid_images=2, workers=0, average=0.0,
+        learning_rate=0.0,
+    )  # fmt: skip
+    path = train_classifier(settings)
+    fast, accurate = FastNet(), AccurateNet()
+    load_weights(fast, start)
+    load_weights(accurate, path.with_name("classifier.safetensors"))
+    windows = settings.source.valid(2)
+    (expected, expected_m), (found, found_m) = (evaluate_windows(each, windows) for each in (fast, accurate))
+    assert found.pixel_accuracy == pytest.approx(expected.pixel_accuracy, abs=0.03) and expected.pixel_accuracy > 0.6
+    assert found_m == pytest.approx(expected_m, abs=0.02)
+    assert Classifier(path.with_name("classifier_int8.onnx"), threads=1).network == "accurate"
+    with pytest.raises(InputError, match="does not hold weights of this network: Error"):
+        load_weights(fast, path.with_name("classifier.safetensors"))
 
 
 @pytest.mark.parametrize("change", [{"blend": 1.0}, {"blend": -0.1}, {"blend": 0.5}])

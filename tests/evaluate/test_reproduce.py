@@ -1,12 +1,12 @@
 """``depthmocap reproduce``: one page from whichever sets are there, and what it says of those that are not."""
 
-import importlib.resources
 import json
 
 import numpy as np
 import pytest
 from mhad_files import make_clips, write_mhad
 
+from depthmocap.classify.runtime import packaged_weights
 from depthmocap.cli import main
 from depthmocap.datasets.mhad import MhadSet
 from depthmocap.datasets.ubc3v import kinect2_camera
@@ -15,7 +15,7 @@ from depthmocap.evaluate import reproduce_real
 from depthmocap.frames import View
 from depthmocap.geometry.transforms import look_at
 
-NET = importlib.resources.files("depthmocap.classify") / "weights" / "fast.onnx"
+NET = packaged_weights("fast")
 
 
 def write_ubc3v(root):

@@ -193,6 +193,8 @@ def test_the_python_interface(recording, virtual):
         ({"seconds": 0.0}, "--seconds"),
         ({"record": Path("x.mcap")}, "--realtime"),
         ({"rate_hz": -1.0}, "rate_hz"),
+        ({"weights": Path("none.onnx")}, "none.onnx not found"),
+        ({"weights": Path("none.onnx"), "realtime": True}, "none.onnx not found"),
     ],
 )
 def test_bad_settings_are_one_clear_line(recording, change, message):

@@ -18,7 +18,7 @@ from depthmocap.synth.sample import Recipe, Sampler
 torch = pytest.importorskip("torch")
 
 from depthmocap.pose.votes_network import VotesNet  # noqa: E402
-from depthmocap.pose.votes_train import augment, export_votes  # noqa: E402
+from depthmocap.pose.votes_train import augment, export_votes, tilted  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +107,25 @@ def test_augmented_samples_keep_a_camera_and_mirror_joints_with_regions(samples)
     # Regions stay with their joints, whatever was moved.
     centre = changed[..., 4:7].sum((1, 2)) / (changed[..., 0] > 0).sum((1, 2))[:, None]
     assert np.abs(centre - moved_joints.mean(1)).max() < 1.0
+
+
+def test_tilted_samples_are_the_same_bodies(samples):
+    parts = np.repeat(parts_of(samples), 40, axis=0)
+    joints = np.repeat(np.stack([sample.joints for sample in samples]).astype(np.float64), 40, axis=0)
+    changed, turned = tilted(np.random.default_rng(0), parts, joints)
+    some = ~np.isclose(turned, joints).all((1, 2))
+    assert 0.05 < some.mean() < 0.16
+    np.testing.assert_allclose(changed[~some], parts[~some], atol=1e-5)
+    np.testing.assert_allclose(turned.mean(1), joints.mean(1), atol=1e-9)
+    # Distances of joints from what the cameras saw, and along the rays, are what they were.
+    between, before = (p[..., 4:7][:, :, :, None] - j[:, None, None] for p, j in ((changed, turned), (parts, joints)))
+    seen = (parts[..., 0] > 0)[..., None] & np.ones(18, bool)
+    for found, expected in (
+        (np.linalg.norm(between, axis=-1), np.linalg.norm(before, axis=-1)),
+        ((between * changed[..., None, 13:16]).sum(-1), (before * parts[..., None, 13:16]).sum(-1)),
+    ):
+        np.testing.assert_allclose(found[seen], expected[seen], atol=1e-4)
+    assert (np.abs((turned - joints)[some]).max((1, 2)) > 0.1).mean() > 0.8
 
 
 @pytest.mark.parametrize("labels", ["true"])

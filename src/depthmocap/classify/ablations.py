@@ -24,7 +24,8 @@ ABLATIONS: tuple[Ablation, ...] = ("full", *get_args(Ingredient), "curriculum")
 _NAMES: dict[Ablation, str] = {
     "full": "everything", "norm": "no batch normalisation", "width": "half the channels", "clothes": "bare people",
     "errors": "exact depth", "spoiling": "nothing hides or clings, perfect masks", "mirror": "no mirror images",
-    "variation": "postures as recorded", "curriculum": "curriculum: easy, inter, open",
+    "variation": "postures as recorded", "resolution": "half the resolution",
+    "curriculum": "curriculum: easy, inter, open",
 }  # fmt: skip
 _CURRICULUM: tuple[Subset, ...] = ("easy", "inter", "open")
 
@@ -82,7 +83,8 @@ def train_ablations(settings: AblationTraining, console: Console | None = None) 
         )
     console = console or Console(stderr=True)
     claim_folder(settings.out, settings, "ablations", ("out", "workers", "device", "only"))
-    valid = WindowSource("fast", "synth", "open", settings.postures, settings.seed).valid(settings.valid_images)
+    source = WindowSource("fast", "synth", "open", settings.postures, settings.seed)
+    valid = source.valid(settings.valid_images)
     found: dict[str, Any] = {"images": settings.images, "valid_images": settings.valid_images, "runs": {}}
     for ablation in ABLATIONS:
         last = settings.training(ablation, len(_CURRICULUM) - 1)
@@ -96,7 +98,9 @@ def train_ablations(settings: AblationTraining, console: Console | None = None) 
             network = make_network(last)
             assert isinstance(network, FastNet)
             load_weights(network, last.out / "classifier.safetensors")
-            accuracy, joint_m = evaluate_windows(network.to(settings.device), valid, settings.device)
+            seen = dataclasses.replace(source, without=last.without)
+            shown = [seen.as_seen(window) for window in valid]
+            accuracy, joint_m = evaluate_windows(network.to(settings.device), shown, settings.device)
             row = {
                 "pixel_accuracy": accuracy.pixel_accuracy, "class_accuracy": accuracy.class_accuracy,
                 "joint_error_cm": joint_m * 100,

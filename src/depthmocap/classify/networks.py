@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
-from depthmocap.body.regions import REGION_COUNT
+from depthmocap.body.regions import MIRROR, REGION_COUNT
 from depthmocap.body.skeleton import JOINTS
+from depthmocap.body.skeleton import MIRROR as MIRRORED_JOINTS
 from depthmocap.classify.paper import PaperNet
-from depthmocap.classify.preprocess import DEPTH_SCALE_M, PIXEL_M, WINDOW, WINDOW_STEP
+from depthmocap.classify.preprocess import DEPTH_SCALE_M, PIXEL_M, WINDOW, WINDOW_STEP, NetworkName
 
 CLASSES = REGION_COUNT + 1
 #: Offsets of joints are told in units of so many metres.
@@ -40,6 +42,11 @@ def _twice(x: Tensor) -> Tensor:
     x = x.permute(0, 2, 3, 1)
     x = torch.cat([x, x], 3).reshape(-1, height, 1, 2 * width * channels)
     return torch.cat([x, x], 2).reshape(-1, 2 * height, 2 * width, channels).permute(0, 3, 1, 2)
+
+
+def _groups_shown(x: Tensor) -> Tensor:
+    """Numbers of the 2×2 groups of pixels that show some of the person, window after window in row-major order."""
+    return nn.functional.max_pool2d(x[:, 1:2], 2).flatten().nonzero()[:, 0]
 
 
 class _Residual(nn.Module):
@@ -79,7 +86,14 @@ class FastNet(nn.Module):
         widths: tuple[int, ...] = (24, 48, 88, 136, 160),
         depths: tuple[int, ...] = (0, 1, 1, 2, 2),
         norm: bool = True,
+        refinements: int = 0,
     ) -> None:
+        """
+        Args:
+            widths: channels of the levels, from fine to coarse.
+            depths: residual blocks of each on the way down; the finest has none.
+            refinements: residual blocks more at each of the two finest levels on the way up.
+        """
         super().__init__()
         self.widths, self.depths = widths, depths
         self.stem = nn.Sequential(_Groups(), _block(12, widths[0], norm=norm))
@@ -89,17 +103,19 @@ class FastNet(nn.Module):
             levels.append(nn.Sequential(_block(widths[i - 1], widths[i], 2, norm), *blocks))
         self.down = nn.ModuleList(levels)
         self.lateral = nn.ModuleList(nn.Conv2d(widths[i + 1], widths[i], 1, bias=False) for i in range(len(widths) - 1))
-        self.up = nn.ModuleList(
-            _Residual(widths[i], norm) if i > 1 else _block(widths[i], widths[i], norm=norm)
-            for i in range(len(widths) - 1)
-        )
+        self.up = nn.ModuleList()
+        for i in range(len(widths) - 1):
+            if i > 1:
+                self.up.append(_Residual(widths[i], norm))
+            else:
+                more = [_Residual(widths[i], norm) for _ in range(refinements)]
+                self.up.append(_block(widths[i], widths[i], norm=norm).extend(more))
         self.head = nn.Conv2d(widths[0], 4 * CLASSES, 1)
         self.joint_votes = nn.Sequential(_block(widths[_CELLS], 128, norm=norm), nn.Conv2d(128, 5 * len(JOINTS), 1))
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         fine, coarse = self.features(x)
-        groups = nn.functional.max_pool2d(x[:, 1:2], 2).flatten().nonzero()[:, 0]
-        return torch.softmax(self.group_logits(fine, groups), -1), self.joints(x, coarse)
+        return torch.softmax(self.group_logits(fine, _groups_shown(x)), -1), self.joints(x, coarse)
 
     def group_logits(self, fine: Tensor, groups: Tensor) -> Tensor:
         """Logits (m, 4, 44) of some groups of pixels, numbered window after window in row-major order."""
@@ -139,10 +155,80 @@ class FastNet(nn.Module):
         return torch.cat([places, (votes[:, :, 4] * weights).sum(-1, keepdim=True)], -1)
 
 
+class AccurateNet(FastNet):
+    """The same, wider and deeper, and what ``forward`` gives is an average of what it makes of the windows and of their
+    mirror images (:func:`masked_outputs`, for training and its validation, does without): six times the work, for who
+    has the time."""
+
+    mirrored_regions: Tensor
+    mirrored_joints: Tensor
+    mirrored_axes: Tensor
+
+    def __init__(
+        self,
+        widths: tuple[int, ...] = (32, 64, 112, 176, 192),
+        depths: tuple[int, ...] = (0, 2, 3, 4, 3),
+        norm: bool = True,
+        refinements: int = 1,
+    ) -> None:
+        super().__init__(widths, depths, norm, refinements)
+        for name, value in (
+            ("mirrored_regions", torch.from_numpy(MIRROR.astype(np.int64))),
+            ("mirrored_joints", torch.from_numpy(MIRRORED_JOINTS.astype(np.int64))),
+            ("mirrored_axes", torch.tensor([-1.0, 1.0, 1.0, 1.0])),
+        ):
+            self.register_buffer(name, value, persistent=False)
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        count, groups = x.shape[0], _groups_shown(x)
+        both = torch.cat([x, x.flip(-1)])
+        fine, coarse = self.features(both)
+        shares = torch.log_softmax(self.group_logits(fine[:count], groups), -1)
+        # Left and right columns of a group of pixels change places, too.
+        others = torch.log_softmax(self.group_logits(fine[count:].flip(-1), groups), -1)
+        others = others.unflatten(1, (2, 2)).flip(2).flatten(1, 2).index_select(2, self.mirrored_regions)
+        joints = self.joints(both, coarse)
+        mirrored = joints[count:].index_select(1, self.mirrored_joints) * self.mirrored_axes
+        return torch.softmax((shares + others) / 2, -1), (joints[:count] + mirrored) / 2
+
+
 #: The level of the U-Net whose cells vote for joints: of 8 pixels.
 _CELLS = 2
 Network = FastNet | PaperNet
-NETWORKS: dict[str, type[FastNet] | type[PaperNet]] = {"fast": FastNet, "paper": PaperNet}
+NETWORKS: dict[NetworkName, type[FastNet] | type[PaperNet]] = {
+    "fast": FastNet,
+    "accurate": AccurateNet,
+    "paper": PaperNet,
+}
+
+
+def grown(network: nn.Module, start: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Weights of a network that holds a smaller one's and computes the same at first: what is new is read by nothing
+    that was there, and new residual blocks add nothing (as Chen et al., "Net2Net", ICLR 2016, but without copies).
+
+    Args:
+        network: of ours, with batch norms; what it has more begins with its own weights.
+        start: weights of the smaller network.
+
+    Raises:
+        ValueError: when the smaller one has something that the network lacks, or more of it.
+    """
+    state = {name: tensor.clone() for name, tensor in network.state_dict().items()}
+    if lacking := start.keys() - state.keys():
+        raise ValueError(f"the network has no {min(lacking)}")
+    for name, tensor in state.items():
+        if name not in start:
+            # The second norm of a residual block gives what the block adds.
+            if name.endswith("second.1.weight"):
+                tensor.zero_()
+            continue
+        smaller = start[name]
+        if smaller.ndim != tensor.ndim or any(s > t for s, t in zip(smaller.shape, tensor.shape, strict=True)):
+            raise ValueError(f"{name} is {tuple(smaller.shape)}, more than {tuple(tensor.shape)}")
+        if tensor.ndim > 1:
+            tensor[: len(smaller), smaller.shape[1] :] = 0
+        tensor[tuple(slice(size) for size in smaller.shape)] = smaller
+    return state
 
 
 def _by_squares(images: Tensor, side: int) -> Tensor:

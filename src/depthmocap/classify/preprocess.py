@@ -184,7 +184,11 @@ def _lanczos(square: Float[ndarray, "s s"]) -> Float[ndarray, "190 190"]:
     return np.asarray(image, dtype=np.float32)
 
 
-NetworkName = Literal["fast", "paper"]
+NetworkName = Literal["fast", "accurate", "paper"]
 WindowMaker = Callable[[ndarray, ndarray, DepthCamera], Window | None]
 #: How the window of each network is made.
-WINDOW_MAKERS: dict[NetworkName, WindowMaker] = {"fast": make_window, "paper": make_paper_window}
+WINDOW_MAKERS: dict[NetworkName, WindowMaker] = {
+    "fast": make_window,
+    "accurate": make_window,
+    "paper": make_paper_window,
+}

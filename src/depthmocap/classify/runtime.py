@@ -22,9 +22,22 @@ from depthmocap.kernels.dense_head import label_dense_pixels
 from depthmocap.kernels.head import label_groups
 
 #: The outputs of each network.
-_OUTPUTS = {"fast": ["probabilities", "joints"], "paper": ["logits"]}
+_OUTPUTS = {
+    "fast": ["probabilities", "joints"],
+    "accurate": ["probabilities", "joints"],
+    "paper": ["logits"],
+}
 #: How labels are read from the first of them.
-_READERS = {"fast": label_groups, "paper": label_dense_pixels}
+_READERS = {"fast": label_groups, "accurate": label_groups, "paper": label_dense_pixels}
+
+
+#: Networks that come with the package, the default first.
+PACKAGED = ("fast", "accurate")
+
+
+def packaged_weights(name: str) -> Path:
+    """The 8-bit ONNX file of a packaged network; beside it lie its weights for training, ``.safetensors``."""
+    return Path(str(importlib.resources.files("depthmocap.classify") / "weights" / f"{name}.onnx"))
 
 
 class Found(NamedTuple):
@@ -65,15 +78,17 @@ class Classifier:
 
     Attributes:
         path: of its file.
-        network: its name, "fast" or "paper", which the file tells; windows are made as that network wants them.
+        network: its name, "fast", "accurate" or "paper", which the file tells; windows are made as that network wants
+            them.
         tells_joints: whether it tells where the joints are, besides the labels.
         make_window: makes them.
     """
 
     def __init__(self, path: Path | None = None, threads: int | None = None) -> None:
-        """Load an ONNX file written by ``depthmocap train classifier``; the packaged one by default.
+        """Load an ONNX file written by ``depthmocap train classifier``; the packaged fast one by default.
 
         Args:
+            path: of the file, or the name of a packaged network: "fast" or "accurate".
             threads: views labelled at a time; by default as many as this process may use cores.
 
         Raises:
@@ -84,7 +99,7 @@ class Classifier:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         options.log_severity_level = 3
-        source = path or Path(str(importlib.resources.files("depthmocap.classify") / "weights" / "fast.onnx"))
+        source = packaged_weights(str(path or PACKAGED[0])) if path is None or str(path) in PACKAGED else path
         if not source.is_file():
             raise InputError(f"{source} not found: give the classifier.onnx of a training run")
         try:

@@ -22,7 +22,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from depthmocap.body.regions import UNLABELLED
 from depthmocap.classify.data import LabelledWindow
 from depthmocap.classify.export import export_onnx
-from depthmocap.classify.networks import FastNet, Network, PaperNet, masked_outputs
+from depthmocap.classify.networks import AccurateNet, FastNet, Network, PaperNet, grown, masked_outputs
 from depthmocap.classify.preprocess import NetworkName
 from depthmocap.classify.quantise import quantise
 from depthmocap.classify.windows import Batches, Ingredient, WindowSource, sorted_batches, training_batches
@@ -46,12 +46,13 @@ class ClassifierTraining:
 
     Attributes:
         out: folder of the run: settings.json, history.jsonl, curves.png, checkpoint.pt, classifier.safetensors/.onnx,
-            and classifier_int8.onnx of the fast network, which is faster and labels alike.
+            and classifier_int8.onnx of our networks, which is faster and labels alike.
         data: "synth" makes pictures on the fly; a folder is read as a UBC3V root (its --subset's train and valid).
         postures: folder of motion capture clips, or a pool made of them; without it the packaged prior.
         subset: who is in the pictures: easy, inter, hard (as in the paper) or open (all builds); by default open
             bodies are made, and hard is read from a folder.
-        network: "fast" is ours; "paper" is the paper's, which by itself sees windows and pictures of the paper's kind.
+        network: "fast" and "accurate" are ours; "paper" is the paper's, which by itself sees windows and pictures of
+            the paper's kind.
         images: how many pictures to train on.
         minutes: stop after this much training instead (the learning rate then follows the clock), 0 for no limit.
         batch: pictures a step.
@@ -62,7 +63,7 @@ class ClassifierTraining:
         momentum: of SGD.
         average: what is validated and kept is an average of the weights over about 1 / (1 - this) steps; 0 for the
             last weights.
-        start: a .safetensors file to start from.
+        start: a .safetensors file to start from; the accurate network may start from the fast one's, too.
         blend: share of the weights it started from in what is exported: what was learnt before holds better, on
             pictures unlike those of training above all (Wortsman et al., "Robust fine-tuning", CVPR 2022).
         workers: processes that make pictures; 0 makes them between steps.
@@ -156,11 +157,12 @@ def make_network(settings: ClassifierTraining) -> Network:
     """
     if settings.network == "paper":
         if settings.without:
-            raise InputError("--without is for the fast network: the paper's has none of these")
+            raise InputError("--without is for our networks: the paper's has none of these")
         return PaperNet()
-    full = FastNet()
+    kind = AccurateNet if settings.network == "accurate" else FastNet
+    full = kind()
     widths = tuple(width // 2 for width in full.widths) if "width" in settings.without else full.widths
-    return FastNet(widths, full.depths, "norm" not in settings.without)
+    return kind(widths, full.depths, "norm" not in settings.without)
 
 
 def train_classifier(settings: ClassifierTraining) -> Path:
@@ -186,7 +188,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     network = make_network(settings)
     network.to(settings.device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     if settings.start is not None:
-        load_weights(network, settings.start)
+        load_weights(network, settings.start, grow=settings.network == "accurate")
     average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(settings.average), use_buffers=True)
     optimiser = _make_optimiser(network, settings)
     peaks = [group["peak"] for group in optimiser.param_groups]
@@ -291,13 +293,14 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     half = {k: v.half() if v.is_floating_point() and v.ndim > 1 else v for k, v in network.cpu().state_dict().items()}
     save_file({k: v.contiguous() for k, v in half.items()}, out / "classifier.safetensors")
     path = export_onnx(network, out / "classifier.onnx", {"network": settings.network, "images": str(done)})
-    if settings.network == "fast":
+    if settings.network != "paper":
         quantise(path, [data[i].inputs for i in range(_CALIBRATION)], out / "classifier_int8.onnx")
     return path
 
 
-def load_weights(network: nn.Module, path: Path) -> None:
-    """Load a .safetensors file into a network; names and shapes must match.
+def load_weights(network: nn.Module, path: Path, *, grow: bool = False) -> None:
+    """Load a .safetensors file into a network; names and shapes must match, unless the network may ``grow`` out of a
+    smaller one's weights (:func:`~depthmocap.classify.networks.grown`).
 
     Raises:
         InputError: when the file is missing, malformed or of another network.
@@ -308,8 +311,8 @@ def load_weights(network: nn.Module, path: Path) -> None:
     try:
         state = load_file(path)
         state = {k: v.float() if v.is_floating_point() else v for k, v in state.items()}
-        network.load_state_dict(state)
-    except (OSError, SafetensorError, RuntimeError) as error:
+        network.load_state_dict(grown(network, state) if grow else state)
+    except (OSError, SafetensorError, RuntimeError, ValueError) as error:
         raise InputError(f"{path} does not hold weights of this network: {str(error).splitlines()[0]}") from None
 
 
@@ -320,7 +323,7 @@ def blend_weights(network: nn.Module, start: Path, share: float) -> None:
         InputError: as ``load_weights``.
     """
     before = copy.deepcopy(network)
-    load_weights(before, start)
+    load_weights(before, start, grow=isinstance(network, AccurateNet))
     with torch.no_grad():
         for now, then in zip(network.state_dict().values(), before.state_dict().values(), strict=True):
             if now.is_floating_point():

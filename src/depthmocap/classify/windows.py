@@ -34,8 +34,9 @@ _SORTED = 8
 #: So many windows lie between one and its mirror image.
 _APART = 1024
 #: What training of our network can do without, to find out what it is worth: batch normalisation; half the channels;
-#: clothes; the sensors' errors; what hides, clings and spoils the mask; mirror images; postures beyond the recorded.
-Ingredient = Literal["norm", "width", "clothes", "errors", "spoiling", "mirror", "variation"]
+#: clothes; the sensors' errors; what hides, clings and spoils the mask; mirror images; postures beyond the recorded;
+#: every second row and column of pixels.
+Ingredient = Literal["norm", "width", "clothes", "errors", "spoiling", "mirror", "variation", "resolution"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +49,8 @@ class WindowSource:
         data: "synth", or the root of a UBC3V set.
         subset: who is in the pictures.
         postures: folder of clips or a pool made of them; without it the packaged prior.
-        without: what our network's training pictures lack; those of validation are always the same.
+        without: what our network's training pictures lack; those of validation are always the same, but for their
+            resolution.
     """
 
     network: NetworkName
@@ -81,7 +83,15 @@ class WindowSource:
             source = _PaperWindows(dataclasses.replace(self, seed=self.seed + _VALID_SEED), "valid", 0)
             return [source[i] for i in range(count)]
         postures = posture_source(self.postures, "valid", self.subset == "easy")
-        return [training_window(self.seed + _VALID_SEED, i, self.subset, postures, None) for i in range(count)]
+        return [
+            self.as_seen(training_window(self.seed + _VALID_SEED, i, self.subset, postures, None)) for i in range(count)
+        ]
+
+    def as_seen(self, window: LabelledWindow) -> LabelledWindow:
+        """The window in the resolution of this source: half of it leaves every second row and column, drawn twice."""
+        if "resolution" not in self.without:
+            return window
+        return window._replace(inputs=window.inputs[:, ::2, ::2].repeat(2, 1).repeat(2, 2))
 
     def window(self, view: View, joints: Float[ndarray, "18 3"] | None) -> LabelledWindow | None:
         """The window of a view with mask and labels; None where nobody is. Only our network learns the joints."""
@@ -112,10 +122,11 @@ class _SynthWindows(Dataset[LabelledWindow]):
 
     def __getitem__(self, index: int) -> LabelledWindow:
         source = self.source
-        return training_window(
+        window = training_window(
             source.seed, self.first + index, source.subset, self.postures, self.spoiling,
             clothes="clothes" not in source.without, errors="errors" not in source.without,
         )  # fmt: skip
+        return source.as_seen(window)
 
 
 class _PaperWindows(Dataset[LabelledWindow]):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import threading
 import time
 from pathlib import Path
@@ -23,6 +24,7 @@ from depthmocap.errors import InputError
 from depthmocap.export.files import PeopleFiles, PoseFiles
 from depthmocap.frames import Pose
 from depthmocap.geometry import Rig, load_rig
+from depthmocap.offline import load_pipeline
 from depthmocap.online.dashboard import draw_dashboard
 from depthmocap.online.live import LiveCapture, Replay, Segment
 from depthmocap.pose.track import Bones, Smoothing
@@ -47,6 +49,7 @@ class LiveSettings:
         people: follow up to so many; with more than one, each has a folder ``person-N`` in ``out`` besides.
         smooth: the filter over time, see ``depthmocap run``.
         bones: "steady" gives bones constant lengths, learnt on the run; "free" leaves them as estimated.
+        weights: "fast" or "accurate", packaged, or a classifier.onnx of your own.
         wait_ms: how long a set waits for a camera that is late.
         rate_hz: sets a second; by default the fastest camera's rate.
         triggered: the cameras expose together, by a wire.
@@ -62,6 +65,7 @@ class LiveSettings:
     people: int = 1
     smooth: Smoothing = "auto"
     bones: Bones = "steady"
+    weights: Path | None = None
     wait_ms: float = SyncSettings().wait_ms
     rate_hz: float | None = None
     triggered: bool = False
@@ -104,18 +108,19 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str
 
 
 def _capture(settings: LiveSettings, console: Console) -> LiveCapture | Replay:
+    make_pipeline = functools.partial(
+        load_pipeline, segment=settings.segment, smooth=settings.smooth, people=settings.people, bones=settings.bones,
+        weights=settings.weights,
+    )  # fmt: skip
     rig = load_rig(settings.rig) if settings.rig else None
     sync = SyncSettings(settings.rate_hz or 30.0, settings.wait_ms, triggered=settings.triggered)
     if not settings.realtime and len(settings.sources) == 1 and Path(settings.sources[0]).exists():
         with console.status("reading the background and the weights"):
             recording = open_recording(Path(settings.sources[0]), rig)
             sync = dataclasses.replace(sync, rate_hz=settings.rate_hz or 1e9 / recording.period_ns)
-            return Replay(recording, None, sync, settings.segment, settings.smooth, settings.people, settings.bones)
+            return Replay(recording, sync, make_pipeline)
     sources = make_sources(settings.sources, Pace(1.0))
-    return LiveCapture(
-        sources, rig, None, sync, settings.rate_hz is None,
-        settings.segment, settings.smooth, settings.people, settings.bones,
-    )  # fmt: skip
+    return LiveCapture(sources, rig, None, sync, settings.rate_hz is None, make_pipeline)
 
 
 def _follow(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias
 
 from jaxtyping import Float, UInt16
 from numpy import ndarray
@@ -17,7 +18,7 @@ from depthmocap.capture.recording import Recording
 from depthmocap.capture.source import DepthSource
 from depthmocap.capture.sync import SyncedSet, SyncSettings
 from depthmocap.errors import InputError
-from depthmocap.frames import FrameSet, Pose
+from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.geometry import Rig, check_placed, load_rig
 from depthmocap.offline import load_pipeline
 from depthmocap.online.gather import Gatherer
@@ -27,6 +28,8 @@ from depthmocap.pipeline import Pipeline, Result
 from depthmocap.pose.track import Bones, Smoothing
 
 Segment = Literal["auto", "none"]
+#: Makes a pipeline for what brings frames, or knows the empty scenes: ``load_pipeline``, with its settings.
+PipelineMaker: TypeAlias = Callable[[FrameSource], Pipeline]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -69,24 +72,17 @@ class LiveCapture:
         pipeline: Pipeline | None = None,
         sync: SyncSettings | None = None,
         measure_rate: bool = True,
-        segment: Segment = "auto",
-        smooth: Smoothing = "auto",
-        people: int = 1,
-        bones: Bones = "steady",
+        make_pipeline: PipelineMaker = load_pipeline,
     ) -> None:
         """
         Args:
             rig: where the cameras stand; by default what the sources know.
-            pipeline: what makes poses of sets; by default the packaged one. Empty scenes that the sources do not know
-                are learnt while it runs.
+            pipeline: what makes poses of sets; by default one is made for the empty scenes. Those that the sources do
+                not know are learnt while it runs.
             sync, measure_rate: see :class:`Gatherer`.
-            segment, smooth, people, bones: of the default pipeline, see RunSettings.
+            make_pipeline: makes the default one.
         """
-        self._sources, self._pipeline = list(sources), pipeline
-        self._segment: Segment = segment
-        self._smooth: Smoothing = smooth
-        self._people = people
-        self._bones: Bones = bones
+        self._sources, self._pipeline, self._make_pipeline = list(sources), pipeline, make_pipeline
         self.gatherer = Gatherer(sources, rig, sync, measure_rate)
         self.books = Books()
         self.up = rig.up if rig else (sources[0].up if sources else "z")
@@ -154,8 +150,7 @@ class LiveCapture:
         cameras = self.gatherer.cameras
         backgrounds = {name: cameras[name].to_metres(raw) for name, raw in self.raw_backgrounds().items()}
         scenes = EmptyScenes(Rig(tuple(cameras.values()), self.up), backgrounds)
-        pipeline = load_pipeline(scenes, self._segment, self._smooth, people=self._people, bones=self._bones)
-        return warm(pipeline, frames)
+        return warm(self._make_pipeline(scenes), frames)
 
 
 def warm(pipeline: Pipeline, frames: FrameSet) -> Pipeline:
@@ -176,15 +171,11 @@ class Replay:
     def __init__(
         self,
         recording: Recording,
-        pipeline: Pipeline | None = None,
         sync: SyncSettings | None = None,
-        segment: Segment = "auto",
-        smooth: Smoothing = "auto",
-        people: int = 1,
-        bones: Bones = "steady",
+        make_pipeline: PipelineMaker = load_pipeline,
     ) -> None:
-        """``pipeline``: by default the packaged one, its background from the recording."""
-        self.pipeline = pipeline or load_pipeline(recording, segment, smooth, people=people, bones=bones)
+        """``make_pipeline`` is given the recording, which brings its background."""
+        self.pipeline = make_pipeline(recording)
         self.intake = Intake(sync or SyncSettings(rate_hz=1e9 / recording.period_ns))
         self.books, self.up = Books(), recording.up
         self._recording, self._now_ns = recording, 0
@@ -230,18 +221,20 @@ def live(
     segment: Segment = "auto",
     smooth: Smoothing = "auto",
     bones: Bones = "steady",
+    weights: Path | None = None,
 ) -> Iterator[Pose]:
     """Poses of one person as cameras deliver; recordings play at their own speed.
 
     Args:
         sources: cameras as ``depthmocap record`` names them, recordings, or opened by yourself.
         rig: where the cameras stand, or its rig.json; recordings know.
-        segment, smooth, bones: see RunSettings.
+        segment, smooth, bones, weights: see RunSettings.
 
     Raises:
         InputError: when a source is not what it says, or no camera can be opened.
     """
-    with _open(sources, rig, segment, smooth, bones, 1) as capture:
+    make = functools.partial(load_pipeline, segment=segment, smooth=smooth, bones=bones, weights=weights)
+    with _open(sources, rig, make) as capture:
         for each in capture:
             yield each.pose
 
@@ -253,13 +246,15 @@ def live_people(
     segment: Segment = "auto",
     smooth: Smoothing = "auto",
     bones: Bones = "steady",
+    weights: Path | None = None,
 ) -> Iterator[dict[int, Pose]]:
     """Poses of up to so many people by their numbers, which stay theirs, set by set; otherwise as :func:`live`.
 
     Raises:
         InputError: see :func:`live`, or when ``people`` is less than one.
     """
-    with _open(sources, rig, segment, smooth, bones, people) as capture:
+    make = functools.partial(load_pipeline, segment=segment, smooth=smooth, bones=bones, weights=weights, people=people)
+    with _open(sources, rig, make) as capture:
         for each in capture:
             yield {person.number: person.pose for person in each.result.people}
 
@@ -267,14 +262,11 @@ def live_people(
 def _open(
     sources: Sequence[str | Path | DepthSource],
     rig: Rig | Path | None,
-    segment: Segment,
-    smooth: Smoothing,
-    bones: Bones,
-    people: int,
+    make_pipeline: PipelineMaker,
 ) -> LiveCapture:
     pace = Pace(1.0)
     opened: list[DepthSource] = []
     for source in sources:
         opened += [source] if isinstance(source, DepthSource) else make_sources([str(source)], pace)
     rig = load_rig(rig) if isinstance(rig, Path) else rig
-    return LiveCapture(opened, rig, segment=segment, smooth=smooth, people=people, bones=bones)
+    return LiveCapture(opened, rig, make_pipeline=make_pipeline)

@@ -24,6 +24,7 @@ from depthmocap.body.regions import REGION_COUNT
 from depthmocap.body.skeleton import MIRROR as MIRRORED_JOINTS
 from depthmocap.classify.train import load_weights
 from depthmocap.errors import InputError
+from depthmocap.geometry.transforms import rotation_between
 from depthmocap.pose.cloud import LABELS, Labels
 from depthmocap.pose.collect import Collected
 from depthmocap.pose.parts import (
@@ -53,6 +54,8 @@ _AVERAGE, _AVERAGE_AFTER = 0.998, 1000
 _TRUE_LABELS = 0.15
 #: Share of the others whose cameras tell no joints.
 _NO_JOINTS = 0.08
+#: Share of samples that are tilted as a whole, cameras and all, on top of what their bodies are.
+_TILTED = 0.1
 #: Share of samples in which cameras stand a little elsewhere than they say.
 _MISPLACED = 0.5
 #: Share of a sample's cameras that take the arms, the legs or all of the body for those of the other side, besides
@@ -115,6 +118,24 @@ def augment(
     shift = rng.normal(0, 0.012, (n, views, 3)) * off[..., None]
     shift += middle[:, None] - np.einsum("nvij,nj->nvi", turn, middle)
     return moved(parts, turn, shift), joints
+
+
+def tilted(
+    rng: np.random.Generator, parts: Float32[ndarray, "n v 61 16"], joints: Float[ndarray, "n 18 3"]
+) -> tuple[Float32[ndarray, "n v 61 16"], Float[ndarray, "n 18 3"]]:
+    """The same samples, some of them tilted by any angle to any side: people who lie or stand on their hands are rare,
+    and what cameras see of a region is the same however it hangs. Heights stay about what they were."""
+    n = len(parts)
+    side, cosine = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1, 1, n)
+    cosine = np.where(rng.random(n) < _TILTED, cosine, 1)
+    sine = np.sqrt(1 - cosine**2)
+    up = np.stack([sine * np.cos(side), sine * np.sin(side), cosine], -1)
+    turn = rotation_between(np.broadcast_to([0.0, 0.0, 1.0], (n, 3)), up)
+    middle = joints.mean(1)
+    shift = middle - np.einsum("nij,nj->ni", turn, middle)
+    joints = joints @ np.swapaxes(turn, -1, -2) + shift[:, None]
+    views = parts.shape[1]
+    return moved(parts, turn[:, None].repeat(views, 1), shift[:, None].repeat(views, 1)), joints
 
 
 def _shaken(rng: np.random.Generator, frame: BodyFrame) -> BodyFrame:
@@ -200,7 +221,7 @@ def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Pat
             parts = samples.parts[usable[0]][chosen]
             if kind.any():
                 parts[kind] = samples.parts[usable[1]][chosen[kind]]
-            parts, joints = augment(rng, parts, samples.joints[chosen])
+            parts, joints = augment(rng, *tilted(rng, parts, samples.joints[chosen]))
             frame = _shaken(rng, body_frame(parts))
             x, _ = network_inputs(parts, frame)
             y = torch.from_numpy(frame.from_world(joints).astype(np.float32))

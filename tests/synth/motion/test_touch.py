@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from depthmocap.body.model import REST_POSTURE, Body
-from depthmocap.body.posture import POSTURE_BONES, turn_posture
+from depthmocap.body.posture import POSTURE_BONES, POSTURE_INDEX, turn_posture, world_rotations
 from depthmocap.body.regions import MIRROR, REGION
 from depthmocap.geometry.transforms import rotation_between
 from depthmocap.synth.motion.limits import within_limits
@@ -56,6 +56,21 @@ def test_a_hand_comes_to_lie_on_the_skin(default_body: Body) -> None:
     assert (np.array(near).reshape(-1, 2).max(1) < 0.12).mean() > 0.3
 
 
+def test_hands_that_nobody_sees_are_behind_as_often_as_before_the_body(default_body: Body) -> None:
+    wrists = [default_body.model.bone_names.index(f"wrist.{side}") for side in "RL"]
+    pelvis, neck = (default_body.model.bone_names.index(bone) for bone in ("root", "neck01"))
+    counts = {"behind": 0, "before": 0}
+    for posture in touched(120, seed=5):
+        moved, trunk = default_body.bone_transforms(posture), world_rotations(posture)[POSTURE_INDEX["spine_up"]]
+        hands = moved.heads[wrists]
+        aside, back, _ = ((hands - (moved.heads[pelvis] + moved.heads[neck]) / 2) @ trunk).T
+        if (np.abs(aside) < 0.25).all():  # within the trunk's width
+            counts["behind"] += int((back > 0.04).all())
+            counts["before"] += int((back < -0.05).all())
+    assert min(counts.values()) > 12
+    assert 0.5 < counts["behind"] / counts["before"] < 2
+
+
 def test_elbows_stay_joined(default_body: Body) -> None:
     rest = default_body.pose(REST_POSTURE).joints
     for posture in touched(10):
@@ -68,10 +83,10 @@ def test_elbows_stay_joined(default_body: Body) -> None:
 
 def test_arms_do_not_pass_through_the_trunk() -> None:
     ends = np.array([[0.0, 0, 0], [0, 0, 0.5]])
-    inside, beside, above = np.array([[0.0, 0.05, 0.2]]), np.array([[0.0, 0.15, 0.2]]), np.array([[0.0, 0, 0.7]])
-    assert _through_trunk(inside, ends, np.eye(3))
-    assert not _through_trunk(beside, ends, np.eye(3))
-    assert not _through_trunk(above, ends, np.eye(3))
+    # The spine is nearer to the back than to the belly.
+    for y, inside in ((-0.15, False), (-0.08, True), (0.04, True), (0.08, False)):
+        assert _through_trunk(np.array([[0.0, y, 0.2]]), ends, np.eye(3)) == inside
+    assert not _through_trunk(np.array([[0.0, 0, 0.7]]), ends, np.eye(3))  # above it
     # Turned by a quarter, what lay behind the narrow side lies in the wide one.
     turned = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     assert _through_trunk(np.array([[0.0, 0.12, 0.2]]), ends, turned)

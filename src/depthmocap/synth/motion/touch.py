@@ -25,15 +25,22 @@ _PLACES: tuple[tuple[float, tuple[str, ...]], ...] = (
     (0.25, ("upper arm L", "elbow L", "forearm L", "wrist L", "hand L")),
     (0.12, ("face R", "face L", "hair R", "forehead", "neck front", "nape")),
     (0.1, ("chest L", "shoulder front L", "collar L", "shoulder front R", "collar R")),
-    (0.08, ("lower back R", "lower back L")),
+    (0.08, ("lower back R",)),
     (0.08, ("thigh R", "thigh L", "knee R", "knee L", "shin R")),
 )
+#: Share of bodies that hold both hands behind their back. Without it hands that nobody sees would tell a network that
+#: somebody is seen from behind: from in front the hands before the body are seen.
+_BEHIND = 0.35
+#: Where those are, in the places' order.
+_BACK = 5
+#: There the skin's normal has at least so much of the backward direction.
+_BACKWARDS = 0.8
 #: Targets tried for an arm before it is left as it was.
 _TRIES = 6
 #: The palm lies between the wrist and this far beyond it (metres), and the wrist so far above the skin.
 _PALM_M, _ABOVE_M = 0.09, (0.03, 0.09)
-#: Half axes (metres) of the trunk, which arms do not pass through.
-_TRUNK_M = np.array([0.15, 0.1])
+#: Half axes (metres) of the trunk, which arms do not pass through: to the sides, forwards and backwards of the spine.
+_TRUNK_M = 0.15, 0.1, 0.05
 
 
 class _Skin:
@@ -58,11 +65,13 @@ class _Skin:
         self.pelvis, self.neck = (model.bone_names.index(bone) for bone in ("root", "neck01"))
         regions = np.asarray(model.face_regions)
         places = [np.array([REGION[name] for name in names]) for _, names in _PLACES]
-        #: Triangles of every place, for the hand of a side.
+        #: Triangles of every place, for the hand of a side; of the back those that face backwards, not the flanks.
         self.faces = {
             side: [np.flatnonzero(np.isin(regions, MIRROR[own] if side == "L" else own)) for own in places]
             for side in "RL"
         }
+        for faces in self.faces.values():
+            faces[_BACK] = faces[_BACK][self.normals[faces[_BACK], 1] > _BACKWARDS]
 
 
 @functools.cache
@@ -73,10 +82,12 @@ def _skin() -> _Skin:
 def hands_on_body(posture: Float[ndarray, "20 3"], rng: np.random.Generator) -> Float[ndarray, "20 3"]:
     """The posture with one or both hands on the body, where they reach it and no arm passes through the trunk."""
     sides = ["R", "L"] if rng.random() < 0.5 else ["L", "R"]
-    for side in sides[: 2 if rng.random() < 0.6 else 1]:
+    behind = rng.random() < _BEHIND
+    for side in sides[: 2 if behind or rng.random() < 0.6 else 1]:
         world, moved = world_rotations(posture), _skin().body.bone_transforms(posture)
         for _ in range(_TRIES):
-            touching = _touch(posture, world.copy(), moved, side, rng)
+            place = _BACK if behind else int(rng.choice(len(_PLACES), p=[share for share, _ in _PLACES]))
+            touching = _touch(posture, world.copy(), moved, side, place, rng)
             if touching is not None and within_limits(touching[None])[0]:
                 posture = touching
                 break
@@ -88,13 +99,13 @@ def _touch(
     world: Float[ndarray, "20 3 3"],
     moved: BoneTransforms,
     side: str,
+    place: int,
     rng: np.random.Generator,
 ) -> Float[ndarray, "20 3"] | None:
-    """One arm bent towards a random point of the skin; None where it does not reach or would pass through the trunk.
-    ``world``, the rotations of the posture, is changed."""
+    """One arm bent towards a random point of a place's skin; None where it does not reach or would pass through the
+    trunk. ``world``, the rotations of the posture, is changed."""
     skin = _skin()
     shoulder, elbow, wrist = (moved.heads[bone] for bone in skin.chain[side])
-    place = int(rng.choice(len(_PLACES), p=[share for share, _ in _PLACES]))
     face = int(rng.choice(skin.faces[side][place]))
     bone = skin.bones[face]
     normal = moved.rotations[bone] @ skin.normals[face]
@@ -110,7 +121,8 @@ def _touch(
         return None
     trunk = world[POSTURE_INDEX["spine_up"]]
     out = -1.0 if side == "R" else 1.0
-    down, outwards, back = rng.uniform(0.2, 1), rng.uniform(0, 1.2), rng.uniform(-0.3, 0.6)
+    down, outwards = rng.uniform(0.2, 1), rng.uniform(0, 1.2)
+    back = rng.uniform(0.2, 1) if place == _BACK else rng.uniform(-0.3, 0.6)
     reach = reach / distance
     pole = unit(_across(trunk @ np.array([out * outwards, back, -down]), reach))
     along = (upper**2 - lower**2 + distance**2) / (2 * distance)
@@ -131,11 +143,13 @@ def _touch(
 
 
 def _through_trunk(points: Float[ndarray, "n 3"], ends: Float[ndarray, "2 3"], trunk: Float[ndarray, "3 3"]) -> bool:
-    """Whether a point lies in an elliptical cylinder from the pelvis to the neck."""
+    """Whether a point lies in a cylinder from the pelvis to the neck, of a half ellipse before and one behind."""
     axis = ends[1] - ends[0]
     share = ((points - ends[0]) @ axis) / (axis @ axis)
-    aside = (points - ends[0] - share[:, None] * axis) @ trunk
-    inside = (np.square(aside[:, :2] / _TRUNK_M).sum(1) < 1) & (share > 0) & (share < 1)
+    aside, back, _ = ((points - ends[0] - share[:, None] * axis) @ trunk).T
+    width, before, behind = _TRUNK_M
+    inside = (aside / width) ** 2 + (back / np.where(back > 0, behind, before)) ** 2 < 1
+    inside &= (share > 0) & (share < 1)
     return bool(inside.any())
 
 
