@@ -19,24 +19,28 @@ GOAL_RATIO = 4.0
 
 
 def load_classifier(bench: Bench, name: NetworkName = "fast") -> Classifier:
-    """A packaged classifier, or one with random weights, which takes as long."""
-    if packaged_weights(name).is_file():
-        return Classifier(packaged_weights(name), bench.threads)
+    """The packaged classifier, or one with random weights, which takes as long; in 8 bits, as they are used."""
+    if name == "fast" and packaged_weights().is_file():
+        return Classifier(threads=bench.threads)
     bench.notes.append(f"no packaged {name} classifier: a network with random weights stands in for it")
-    return random_classifier(bench, name)
+    return random_classifier(bench, name, integer=True)
 
 
-def random_classifier(bench: Bench, name: NetworkName) -> Classifier:
+def random_classifier(bench: Bench, name: NetworkName, integer: bool = False) -> Classifier:
     """A network with random weights, which takes as long as a trained one."""
     import torch
 
     from depthmocap.classify.export import export_onnx
     from depthmocap.classify.networks import NETWORKS
+    from depthmocap.classify.quantise import quantise
 
     path = bench.folder / f"random_{name}.onnx"
     if not path.exists():
         torch.manual_seed(0)
-        export_onnx(NETWORKS[name](), path, {"network": name})
+        network = NETWORKS[name]()
+        export_onnx(network, path, {"network": name})
+        if integer:
+            quantise(path, list(torch.rand(8, *network.input_shape).numpy()), path)
     return Classifier(path, bench.threads)
 
 

@@ -33,7 +33,7 @@ class LabelSettings:
         mask: image whose non-zero pixels are the person; without it every valid pixel is.
         preview: also write a coloured picture: under the name given, or beside the labels as NAME_preview.png.
         ubc3v: read UBC3V's 8-bit RGBA depth with its alpha as the mask.
-        weights: "fast" or "accurate", packaged, or a classifier.onnx of your own.
+        weights: a classifier.onnx of your own.
     """
 
     depth: tyro.conf.Positional[Path]

@@ -53,7 +53,7 @@ class RunSettings:
         bridge_s: how long "kalman" and "fixed-lag" go on with a joint that is missing (s); 0 leaves gaps.
         bones: "steady" gives bones constant lengths, learnt on the run; "free" leaves them as estimated, as does
             "none" for --smooth.
-        weights: "fast" or "accurate", packaged, or a classifier.onnx of your own.
+        weights: a classifier.onnx of your own.
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
         report: draw report.html and the animated preview.
     """

@@ -124,7 +124,7 @@ def test_the_accurate_network_starts_from_the_fast_one(
     body_model: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(train, "_CALIBRATION", 2)
-    start = packaged_weights("fast").with_suffix(".safetensors")
+    start = packaged_weights().with_suffix(".safetensors")
     settings = ClassifierTraining(
         tmp_path / "run", network="accurate", images=16, batch=16, start=start, valid_images=2, workers=0, average=0.0,
         learning_rate=0.0,

@@ -15,7 +15,7 @@ from depthmocap.evaluate import reproduce_real
 from depthmocap.frames import View
 from depthmocap.geometry.transforms import look_at
 
-NET = packaged_weights("fast")
+NET = packaged_weights()
 
 
 def write_ubc3v(root):

@@ -53,7 +53,7 @@ class CalibrateSettings:
         json: file for all numbers.
         segment: "auto" finds the person in a static scene; "none" takes every valid pixel.
         rate_hz: frames of a camera that are looked at, a second, at most.
-        weights: "fast" or "accurate", packaged, or a classifier.onnx of your own.
+        weights: a classifier.onnx of your own.
     """
 
     recording: tyro.conf.Positional[Path]

@@ -31,13 +31,9 @@ _OUTPUTS = {
 _READERS = {"fast": label_groups, "accurate": label_groups, "paper": label_dense_pixels}
 
 
-#: Networks that come with the package, the default first.
-PACKAGED = ("fast", "accurate")
-
-
-def packaged_weights(name: str) -> Path:
-    """The 8-bit ONNX file of a packaged network; beside it lie its weights for training, ``.safetensors``."""
-    return Path(str(importlib.resources.files("depthmocap.classify") / "weights" / f"{name}.onnx"))
+def packaged_weights() -> Path:
+    """The 8-bit ONNX file of the packaged network; beside it lie its weights for training, ``.safetensors``."""
+    return Path(str(importlib.resources.files("depthmocap.classify") / "weights" / "fast.onnx"))
 
 
 class Found(NamedTuple):
@@ -85,10 +81,9 @@ class Classifier:
     """
 
     def __init__(self, path: Path | None = None, threads: int | None = None) -> None:
-        """Load an ONNX file written by ``depthmocap train classifier``; the packaged fast one by default.
+        """Load an ONNX file written by ``depthmocap train classifier``; the packaged one by default.
 
         Args:
-            path: of the file, or the name of a packaged network: "fast" or "accurate".
             threads: views labelled at a time; by default as many as this process may use cores.
 
         Raises:
@@ -99,7 +94,7 @@ class Classifier:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         options.log_severity_level = 3
-        source = packaged_weights(str(path or PACKAGED[0])) if path is None or str(path) in PACKAGED else path
+        source = path or packaged_weights()
         if not source.is_file():
             raise InputError(f"{source} not found: give the classifier.onnx of a training run")
         try:

@@ -40,7 +40,7 @@ class BenchEvaluation(Outputs):
         sets: which of them.
         views: cameras that look at each posture.
         labels: "network" runs the classifier; "true" gives the pose stage the true labels, its floor.
-        weights: "fast" or "accurate", packaged, or a classifier.onnx of your own.
+        weights: a classifier.onnx of your own.
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
         misplaced_mm: so far from where it says each camera stands, in any direction.
         misplaced_deg: and so much it is turned, about any axis.

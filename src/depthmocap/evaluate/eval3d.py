@@ -28,7 +28,7 @@ class EvalEvaluation(Outputs):
         mask: "background" finds the person by what stands still in a sequence; "box" takes what is near the true
             joints; "all" every valid pixel.
         every: read every so-many-th frame only.
-        weights: "fast" or "accurate", packaged, or a classifier.onnx of your own.
+        weights: a classifier.onnx of your own.
         estimator: of our joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
     """
 

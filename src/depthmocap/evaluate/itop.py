@@ -28,7 +28,7 @@ class ItopEvaluation(Outputs):
         refit: "ridge" fits ITOP's joints on its train split; "none" takes our joints as they are.
         mask: "segmentation" is the set's own; "box" takes what is near the true joints, where that is wrong.
         every: read every so-many-th frame only.
-        weights: "fast" or "accurate", packaged, or a classifier.onnx of your own.
+        weights: a classifier.onnx of your own.
         estimator: of our joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
     """
 

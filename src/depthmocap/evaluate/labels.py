@@ -38,7 +38,7 @@ class LabelsEvaluation:
         postures: folder of motion capture clips, or a pool made of them, for it; without it the packaged prior.
         samples: postures at most.
         views: cameras a posture of a set that is made.
-        weights: "fast" or "accurate", packaged, or a classifier.onnx of your own, the paper's network included.
+        weights: a classifier.onnx of your own, the paper's network included.
         pictures: views shown as depth, truth and prediction.
         json: file for all numbers.
         workers: processes that make pictures.

@@ -43,7 +43,7 @@ class Labels2dEvaluation:
         confidence: joints below it are left out.
         radius: an allowed region within so many pixels of the joint counts.
         json: file for all numbers.
-        weights: "fast" or "accurate", packaged, or a classifier.onnx of your own.
+        weights: a classifier.onnx of your own.
     """
 
     folder: tyro.conf.Positional[Path]

@@ -56,7 +56,7 @@ class MhadEvaluation(Outputs):
         refit: "ridge" fits the set's joints, on other people than are tested; "none" takes our joints as they are.
         every: read every so-many-th frame only.
         joint_table: a JSON file {"reliable": [names], "michel": [names]} that replaces these lists of joints.
-        weights: "fast" or "accurate", packaged, or a classifier.onnx of your own.
+        weights: a classifier.onnx of your own.
         estimator: of our joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
     """
 

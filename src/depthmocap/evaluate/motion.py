@@ -66,7 +66,7 @@ class MotionEvaluation:
         out_of_step_ms: a fault: every camera looks up to so long before or after the others; the sequences are measured
             once more like this, and the growth of the error is told.
         lag_frames: that the fixed-lag smoother waits for.
-        weights: "fast" or "accurate", packaged, or a classifier.onnx of your own.
+        weights: a classifier.onnx of your own.
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
         json: file for all numbers.
         report: file for a page with the tables (.html).

@@ -34,7 +34,7 @@ class PanopticEvaluation(Outputs):
         confidence: the set's joints of less confidence are unknown.
         m_color: whether the calibration's M_color leads from a Kinect's frame to its colour camera, or back: public
             code does not agree.
-        weights: "fast" or "accurate", packaged, or a classifier.onnx of your own.
+        weights: a classifier.onnx of your own.
         estimator: of our joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
     """
 

@@ -30,7 +30,7 @@ class RecordingEvaluation(Outputs):
         lag_frames: that "fixed-lag" waits for.
         bridge_s: how long "kalman" and "fixed-lag" go on with a joint that is missing (s).
         bones: of constant length, or as estimated.
-        weights: "fast" or "accurate", packaged, or a classifier.onnx of your own.
+        weights: a classifier.onnx of your own.
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
     """
 

@@ -27,7 +27,7 @@ class Ubc3vEvaluation(Outputs):
         labels: "network" runs the classifier; "true" gives the pose stage the true labels, its floor.
         views: 1 evaluates every camera alone and averages, 2 every pair, 3 all.
         limit: evaluate the first so many samples only.
-        weights: "fast" or "accurate", packaged, or a classifier.onnx of your own.
+        weights: a classifier.onnx of your own.
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
     """
 

@@ -49,7 +49,7 @@ class LiveSettings:
         people: follow up to so many; with more than one, each has a folder ``person-N`` in ``out`` besides.
         smooth: the filter over time, see ``depthmocap run``.
         bones: "steady" gives bones constant lengths, learnt on the run; "free" leaves them as estimated.
-        weights: "fast" or "accurate", packaged, or a classifier.onnx of your own.
+        weights: a classifier.onnx of your own.
         wait_ms: how long a set waits for a camera that is late.
         rate_hz: sets a second; by default the fastest camera's rate.
         triggered: the cameras expose together, by a wire.

@@ -38,7 +38,7 @@ class PoseSamples:
 
     Attributes:
         data: "synth" makes samples; a folder is read as a UBC3V root (its <subset>-pose/train).
-        weights: "fast" or "accurate", packaged, or a classifier.onnx of your own.
+        weights: a classifier.onnx of your own.
         postures: folder of motion capture clips, or a pool made of them; without it the packaged prior.
         subset: who is in the samples: easy, inter, hard, or open (all builds); by default open bodies are made, and
             hard is read from a folder.
