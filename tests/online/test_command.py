@@ -14,6 +14,7 @@ from depthmocap.capture.recording import RecordingWriter
 from depthmocap.capture.simulator import Faults, SimulatedCamera, Simulation
 from depthmocap.errors import InputError
 from depthmocap.export import read_bvh, read_csv, read_trc
+from depthmocap.offline import load_pipeline
 from depthmocap.online import command
 from depthmocap.online import live as live_module
 from depthmocap.online.command import LiveSettings, run_live
@@ -32,9 +33,14 @@ class EmptyRoom:
         pass
 
 
+def use_pipelines(monkeypatch, load):
+    for module in (live_module, command):
+        monkeypatch.setattr(module, "load_pipeline", load)
+
+
 @pytest.fixture
 def recording(tmp_path, monkeypatch):
-    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments, **others: fake_pipeline())
+    use_pipelines(monkeypatch, lambda *arguments, **others: fake_pipeline())
     scene, path = Board(2), tmp_path / "recording"
     with RecordingWriter(path, scene.rig) as writer:
         for i in range(SETS):
@@ -58,7 +64,7 @@ def test_as_fast_as_it_goes_every_set_becomes_a_pose(recording, tmp_path):
 
 def test_a_filter_that_waits_gives_every_pose_once(recording, tmp_path, monkeypatch):
     pipeline = fake_pipeline(load_filter("fixed-lag"))
-    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments, **others: pipeline)
+    use_pipelines(monkeypatch, lambda *arguments, **others: pipeline)
     run_live(LiveSettings((recording,), out=tmp_path / "out"))
     np.testing.assert_allclose(read_csv(tmp_path / "out" / "pose.csv")[0], np.arange(SETS) * 0.04, atol=1e-6)
 
@@ -81,7 +87,7 @@ def test_an_interruption_leaves_complete_files(recording, tmp_path, monkeypatch)
         def finish(self):
             return []
 
-    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments, **others: Interrupted())
+    use_pipelines(monkeypatch, lambda *arguments, **others: Interrupted())
     summary = run_live(LiveSettings((recording,), out=tmp_path / "out"))
     assert summary["interrupted"]
     for read, name in ((read_csv, "pose.csv"), (read_trc, "pose.trc"), (read_bvh, "pose.bvh")):
@@ -109,7 +115,7 @@ def test_bones_are_steady_or_free(recording, tmp_path, monkeypatch, virtual, rea
         given.append(others["bones"])
         return fake_pipeline(load_filter("kalman", bones=others["bones"]))
 
-    monkeypatch.setattr(live_module, "load_pipeline", load)
+    use_pipelines(monkeypatch, load)
     free, steady = (
         run_live(LiveSettings((recording,), realtime=realtime, bones=bones))["smoothing"]["bones"]
         for bones in ("free", "steady")
@@ -153,7 +159,7 @@ def test_a_recording_that_was_cut_off_is_told_once(recording, tmp_path, virtual)
 
 
 def test_a_camera_in_the_dark_is_told_and_counted(tmp_path, monkeypatch, virtual):
-    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments, **others: fake_pipeline())
+    use_pipelines(monkeypatch, lambda *arguments, **others: fake_pipeline())
     scene, path = Board(2), tmp_path / "recording"
     with RecordingWriter(path, scene.rig) as writer:
         for i in range(100):
@@ -173,7 +179,7 @@ def test_a_camera_in_the_dark_is_told_and_counted(tmp_path, monkeypatch, virtual
 def test_nobody_in_view_is_told(recording, tmp_path, monkeypatch):
     pipeline = fake_pipeline()
     pipeline.segment = EmptyRoom()
-    monkeypatch.setattr(live_module, "load_pipeline", lambda *arguments, **others: pipeline)
+    use_pipelines(monkeypatch, lambda *arguments, **others: pipeline)
     run_live(LiveSettings((recording,), out=tmp_path / "out"))
     assert "no person" in (tmp_path / "out" / "summary.json").read_text()
     assert len((tmp_path / "out" / "pose.csv").read_text().splitlines()) == SETS + 1
@@ -193,10 +199,15 @@ def test_the_python_interface(recording, virtual):
         ({"seconds": 0.0}, "--seconds"),
         ({"record": Path("x.mcap")}, "--realtime"),
         ({"rate_hz": -1.0}, "rate_hz"),
-        ({"weights": Path("none.onnx")}, "none.onnx not found"),
-        ({"weights": Path("none.onnx"), "realtime": True}, "none.onnx not found"),
     ],
 )
 def test_bad_settings_are_one_clear_line(recording, change, message):
     with pytest.raises(InputError, match=message):
         run_live(LiveSettings(**{"sources": (recording,), **change}))
+
+
+@pytest.mark.parametrize("realtime", [False, True])
+def test_weights_of_your_own(recording, monkeypatch, virtual, realtime):
+    use_pipelines(monkeypatch, load_pipeline)
+    with pytest.raises(InputError, match=r"none\.onnx not found"):
+        run_live(LiveSettings((recording,), realtime=realtime, weights=Path("none.onnx")))
