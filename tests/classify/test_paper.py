@@ -121,6 +121,7 @@ def test_squares_train_as_the_transposed_convolution_does() -> None:
 def test_both_networks_have_names_and_inputs() -> None:
     assert {name: kind.input_shape for name, kind in NETWORKS.items()} == {
         "fast": (3, 192, 192),
+        "accurate": (3, 192, 192),
         "paper": (2, 250, 250),
     }
 
