@@ -125,17 +125,18 @@ def tilted(
 ) -> tuple[Float32[ndarray, "n v 61 16"], Float[ndarray, "n 18 3"]]:
     """The same samples, some of them tilted by any angle to any side: people who lie or stand on their hands are rare,
     and what cameras see of a region is the same however it hangs. Heights stay about what they were."""
-    n = len(parts)
+    chosen = rng.random(len(parts)) < _TILTED
+    n, views = int(chosen.sum()), parts.shape[1]
     side, cosine = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1, 1, n)
-    cosine = np.where(rng.random(n) < _TILTED, cosine, 1)
     sine = np.sqrt(1 - cosine**2)
     up = np.stack([sine * np.cos(side), sine * np.sin(side), cosine], -1)
     turn = rotation_between(np.broadcast_to([0.0, 0.0, 1.0], (n, 3)), up)
-    middle = joints.mean(1)
+    middle = joints[chosen].mean(1)
     shift = middle - np.einsum("nij,nj->ni", turn, middle)
-    joints = joints @ np.swapaxes(turn, -1, -2) + shift[:, None]
-    views = parts.shape[1]
-    return moved(parts, turn[:, None].repeat(views, 1), shift[:, None].repeat(views, 1)), joints
+    parts, joints = parts.copy(), joints.copy()
+    parts[chosen] = moved(parts[chosen], turn[:, None].repeat(views, 1), shift[:, None].repeat(views, 1))
+    joints[chosen] = joints[chosen] @ np.swapaxes(turn, -1, -2) + shift[:, None]
+    return parts, joints
 
 
 def _shaken(rng: np.random.Generator, frame: BodyFrame) -> BodyFrame:
