@@ -36,15 +36,14 @@ def rendering(bench: Bench) -> None:
     body = BodyModel.load().shape(ONE_CHARACTER)
     posed = body.pose(PosturePrior.load().sample(np.random.default_rng(1))[0])
     camera = camera_before(posed.vertices.mean(0).astype(float), 2.0)
-    regions = posed.face_regions
+    points, faces, regions = posed.by_region()
     # Rays of depth 1, so that the length Embree finds is the depth. The rays are made beforehand.
     ones = np.ones((camera.height, camera.width, 1), np.float32)
     all_rays = np.concatenate([camera.rays, ones], -1)
 
     def build() -> Any:
         scene = EmbreeScene()
-        points = transform_points(camera.camera_from_world, posed.vertices)
-        TriangleMesh(scene, np.ascontiguousarray(points), posed.faces)
+        TriangleMesh(scene, np.ascontiguousarray(transform_points(camera.camera_from_world, points)), faces)
         return scene
 
     def cast(scene: Any, rays: ndarray) -> tuple[ndarray, ndarray]:
@@ -83,9 +82,10 @@ def rendering_open3d(bench: Bench) -> None:
     body = BodyModel.load().shape(ONE_CHARACTER)
     posed = body.pose(PosturePrior.load().sample(np.random.default_rng(1))[0])
     camera = camera_before(posed.vertices.mean(0).astype(float), 2.0)
-    regions = np.append(posed.face_regions, 0).astype(np.uint8)
-    vertices = open3d.core.Tensor(posed.vertices)
-    faces = open3d.core.Tensor(posed.faces.astype(np.uint32))
+    points, triangles, regions = posed.by_region()
+    regions = np.append(regions, 0).astype(np.uint8)
+    vertices = open3d.core.Tensor(points)
+    faces = open3d.core.Tensor(triangles.astype(np.uint32))
     # Its rays are of depth 1, so that what it finds is the depth; they are made beforehand.
     ones = np.ones((camera.height, camera.width, 1), np.float32)
     directions = np.concatenate([camera.rays, ones], -1) @ camera.world_from_camera[:3, :3].T.astype(np.float32)

@@ -58,7 +58,8 @@ def rows(bench: Bench, device: str = "cuda", batch: int = 1024) -> None:
     crowd = PosedPeople.of(people, device)
     at = TorchCameras.of(cameras, device)
     at = TorchCameras(at.intrinsics[chosen], at.camera_from_world[chosen])
-    skins, (_, layers), model = crowd.vertices[chosen], crowd.worn.chosen(chosen), crowd.model
+    (_, layers), model = crowd.worn.chosen(chosen), crowd.model
+    skins = model.points(crowd.vertices[chosen])
     size = cameras[0].height, cameras[0].width
     bench.measure(
         "Render a dressed person, 512×424",
@@ -97,7 +98,7 @@ def _agreement(people: list[PosedPerson], cameras: list[DepthCamera], device: st
     size = cameras[0].height, cameras[0].width
     model, layers = crowd.model, TorchLayers.of(people, device)
     got = render_people(
-        crowd.vertices, model.faces, model.face_regions, TorchCameras.of(cameras, device), *size, layers
+        model.points(crowd.vertices), model.faces, model.face_regions, TorchCameras.of(cameras, device), *size, layers
     )
     depth, labels = got.depth_m.cpu().numpy(), got.labels.cpu().numpy()
     views = [render_person(person, camera) for person, camera in zip(people, cameras, strict=True)]

@@ -158,7 +158,8 @@ def test_body_against_a_ray_caster(posed: PosedBody) -> None:
     pytest.importorskip("embreex")
     camera = camera_at((1.2, -1.6, 0.7))
     depth, labels = render_body(posed, camera)
-    mesh = trimesh.Trimesh(posed.vertices.astype(np.float64), posed.faces, process=False)
+    points, faces, regions = posed.by_region()
+    mesh = trimesh.Trimesh(points.astype(np.float64), faces, process=False)
     directions = np.concatenate([camera.rays, np.ones((*depth.shape, 1), np.float32)], -1).reshape(-1, 3)
     directions = directions.astype(np.float64) @ camera.world_from_camera[:3, :3].T
     origins = np.broadcast_to(camera.world_from_camera[:3, 3], directions.shape)
@@ -167,7 +168,7 @@ def test_body_against_a_ray_caster(posed: PosedBody) -> None:
     cast[ray_of_hit] = transform_points(camera.camera_from_world, hits)[:, 2]
     cast = cast.reshape(depth.shape)
     cast_labels = np.zeros(depth.size, dtype=np.uint8)
-    cast_labels[ray_of_hit] = posed.face_regions[face_of_hit]
+    cast_labels[ray_of_hit] = regions[face_of_hit]
     both = (depth > 0) & (cast > 0)
     assert np.count_nonzero(both) > 3000
     # The silhouettes agree but for rays that graze an edge.

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
+from depthmocap.body.borders import RegionMesh, cut_along_borders
 from depthmocap.body.posture import POSTURE_BONES, POSTURE_OF_ANNY, world_rotations
 from depthmocap.body.region_map import face_regions
 from depthmocap.body.skeleton import ANNY_BONES
@@ -67,10 +68,10 @@ class PosedBody:
         """Triangles, counter-clockwise seen from outside."""
         return self.model.faces
 
-    @property
-    def face_regions(self) -> UInt8[ndarray, "f"]:
-        """Region 1–43 of every triangle."""
-        return self.model.face_regions
+    def by_region(self) -> tuple[Float[ndarray, "p 3"], Int[ndarray, "g 3"], UInt8[ndarray, "g"]]:
+        """The same surface cut along smooth borders: points, triangles, and each triangle's region 1–43."""
+        mesh = self.model.region_mesh
+        return mesh.points(self.vertices), mesh.faces, mesh.regions
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -167,10 +168,19 @@ class BodyModel:
     @functools.cached_property
     def face_regions(self) -> UInt8[ndarray, "f"]:
         """Region 1–43 of every triangle, drawn once on the default body; shapes and postures share it."""
-        body = self.shape(Phenotype())
+        body = self._default
         bones = np.array(self.bone_names)[self.skin_indices[:, 0]]
         heads = dict(zip(self.bone_names, body.rest_heads, strict=True))
         return face_regions(body.rest_vertices, self.faces, bones, heads)
+
+    @functools.cached_property
+    def region_mesh(self) -> RegionMesh:
+        """The mesh cut along smooth borders of the regions, for drawing labels; shapes and postures share it."""
+        return cut_along_borders(self._default.rest_vertices, self.faces, self.face_regions)
+
+    @functools.cached_property
+    def _default(self) -> Body:
+        return self.shape(Phenotype())
 
 
 @contextlib.contextmanager

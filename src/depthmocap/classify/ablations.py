@@ -41,7 +41,7 @@ class AblationTraining:
         only: which runs to make.
         valid_images: pictures that all are measured on.
         workers: processes that make pictures; 0 makes them between steps.
-        bfloat16: multiply in half precision; some processors are faster without.
+        bfloat16: multiply in half precision; by default where the device has instructions for it.
     """
 
     out: Path
@@ -52,7 +52,7 @@ class AblationTraining:
     seed: int = 0
     workers: int = 1
     device: str = "cpu"
-    bfloat16: bool = True
+    bfloat16: bool | None = None
 
     def training(self, ablation: Ablation, stage: int = 0) -> ClassifierTraining:
         """The run of an ablation, or a stage of the curriculum's."""

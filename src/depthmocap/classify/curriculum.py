@@ -69,7 +69,7 @@ class CurriculumTraining:
         control: also train on hard pictures from scratch.
         valid_images: pictures of each validation set.
         workers: processes that make pictures; 0 makes them between steps.
-        bfloat16: multiply in half precision; some processors are faster without.
+        bfloat16: multiply in half precision; by default where the device has instructions for it.
     """
 
     out: Path
@@ -83,7 +83,7 @@ class CurriculumTraining:
     seed: int = 0
     workers: int = 1
     device: str = "cpu"
-    bfloat16: bool = False
+    bfloat16: bool | None = None
 
     @property
     def stages(self) -> tuple[_Stage, ...]:

@@ -27,6 +27,7 @@ from depthmocap.classify.preprocess import NetworkName
 from depthmocap.classify.quantise import quantise
 from depthmocap.classify.windows import Batches, Ingredient, WindowSource, sorted_batches, training_batches
 from depthmocap.errors import InputError
+from depthmocap.precision import in_bfloat16
 from depthmocap.report.metrics import PixelAccuracy
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.sample import Subset
@@ -68,7 +69,7 @@ class ClassifierTraining:
             pictures unlike those of training above all (Wortsman et al., "Robust fine-tuning", CVPR 2022).
         workers: processes that make pictures; 0 makes them between steps.
         valid_every: pictures between two validations.
-        bfloat16: multiply in half precision; some processors are faster without.
+        bfloat16: multiply in half precision; by default where the device has instructions for it.
         without: what our network is trained without, to find out what it is worth (see ``train ablations``).
     """
 
@@ -93,7 +94,7 @@ class ClassifierTraining:
     valid_every: int = 8000
     valid_images: int = 320
     device: str = "cpu"
-    bfloat16: bool = True
+    bfloat16: bool | None = None
     without: tuple[Ingredient, ...] = ()
 
     @property
@@ -236,6 +237,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
         task = progress.add_task("training", total=1.0)
         progress.update(task, completed=_share(settings, done, spent))
         clock = time.monotonic()
+        half = in_bfloat16(settings.bfloat16, settings.device)
         for x, y, places in batches:
             share = _share(settings, done, spent)
             if share >= 1:
@@ -248,7 +250,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
             network.train()
             x = x.to(settings.device).to(memory_format=torch.channels_last)
             y = y.to(settings.device)
-            with torch.autocast(settings.device.split(":")[0], torch.bfloat16, enabled=settings.bfloat16):
+            with torch.autocast(settings.device.split(":")[0], torch.bfloat16, enabled=half):
                 known = y != UNLABELLED
                 chosen, truth, joints = masked_outputs(
                     network, x, y, known if network.learns_background else known & (x[:, 1] > 0)

@@ -38,7 +38,7 @@ class PoseTraining:
         start: a votes.safetensors that its training goes on from.
         earlier: folders of samples collected before (of other weights, of other postures), from which the voting
             network learns as well.
-        bfloat16: multiply matrices in half precision; some processors are faster without.
+        bfloat16: multiply matrices in half precision; by default where the device has instructions for it.
     """
 
     out: Path
@@ -48,7 +48,7 @@ class PoseTraining:
     learning_rate: float = 1.5e-3
     earlier: tuple[Path, ...] = ()
     start: Path | None = None
-    bfloat16: bool = True
+    bfloat16: bool | None = None
 
 
 def train_pose(settings: PoseTraining, console: Console | None = None) -> list[Path]:

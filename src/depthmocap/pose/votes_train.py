@@ -44,6 +44,7 @@ from depthmocap.pose.parts import (
 )
 from depthmocap.pose.ridge import grouped_folds
 from depthmocap.pose.votes_network import VotesNet
+from depthmocap.precision import in_bfloat16
 
 #: A joint is right within this (metres), as the paper counts: what the confidence foretells.
 RIGHT_M = 0.1
@@ -74,14 +75,14 @@ class VotesTraining:
         learning_rate: its peak; it falls to zero along a cosine.
         weight_decay: of AdamW.
         start: a votes.safetensors to start from.
-        bfloat16: multiply matrices in half precision; some processors are faster without.
+        bfloat16: multiply matrices in half precision; by default where the device has instructions for it.
     """
 
     minutes: float = 15.0
     learning_rate: float = 1.5e-3
     weight_decay: float = 0.03
     start: Path | None = None
-    bfloat16: bool = True
+    bfloat16: bool | None = None
 
 
 def augment(
@@ -211,6 +212,7 @@ def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Pat
     optimiser = torch.optim.AdamW(
         network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, betas=(0.9, 0.98)
     )
+    half = in_bfloat16(settings.bfloat16)
     history = []
     start = told = time.monotonic()
     step, running = 0, []
@@ -229,7 +231,7 @@ def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Pat
             for group in optimiser.param_groups:
                 warm = min(1.0, (step + 1) / 200)
                 group["lr"] = settings.learning_rate * warm * 0.5 * (1 + math.cos(math.pi * share)) + 1e-6
-            with torch.autocast("cpu", torch.bfloat16, enabled=settings.bfloat16):
+            with torch.autocast("cpu", torch.bfloat16, enabled=half):
                 found, sure = network(torch.from_numpy(x))
             distance = (found - y).norm(dim=-1)
             right = (distance.detach() < RIGHT_M).float()

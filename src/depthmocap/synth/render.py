@@ -131,7 +131,7 @@ def render_person(
             else background_material.copy()
         )
     labels = np.zeros(shape, dtype=np.uint8)
-    draw_mesh(person.vertices, person.body.faces, person.body.face_regions, camera, depth, labels)
+    draw_mesh(*person.body.by_region(), camera, depth, labels)
     skin = labels > 0
     material[skin] = Material.SKIN
     if person.layers:

@@ -59,7 +59,7 @@ def cameras(posed: list[PosedBody]) -> list[DepthCamera]:
 
 
 def stacked(posed: list[PosedBody]) -> torch.Tensor:
-    return torch.from_numpy(np.stack([body.vertices for body in posed]))
+    return torch.from_numpy(np.stack([body.by_region()[0] for body in posed]))
 
 
 def drawn(

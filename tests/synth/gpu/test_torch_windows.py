@@ -120,11 +120,9 @@ def drawn(
     people: list[PosedPerson], cameras: list[DepthCamera], layers: TorchLayers | None = None
 ) -> tuple[torch_windows.TorchWindows, torch.Tensor]:
     model = TorchModel.of(people[0].body.model)
-    vertices = torch.from_numpy(np.stack([person.vertices for person in people]))
+    points = torch.from_numpy(np.stack([person.body.by_region()[0] for person in people]))
     sizes = torch.tensor([[camera.width, camera.height] for camera in cameras])
-    view = torch_windows.view_windows(
-        vertices, model.faces, model.face_regions, TorchCameras.of(cameras), sizes, layers
-    )
+    view = torch_windows.view_windows(points, model.faces, model.face_regions, TorchCameras.of(cameras), sizes, layers)
     return view.windows(view.rendering.depth_m, view.rendering.person)
 
 

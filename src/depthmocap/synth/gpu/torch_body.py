@@ -24,14 +24,17 @@ class TorchModel:
     """What all bodies share, on a device.
 
     Attributes:
-        faces: triangles, counter-clockwise seen from outside.
+        faces: triangles over ``points``, counter-clockwise seen from outside, cut along the borders of regions.
         face_regions: region 1–43 of every triangle.
+        cut_ends, cut_shares: the edges that are cut, and where (see ``borders.RegionMesh``).
         weights: how much a vertex follows each of the 20 bones of a posture.
         tops: per bone of a posture, the first of the model's bones that turn with it.
     """
 
     faces: Int[Tensor, "f 3"]
     face_regions: UInt8[Tensor, "f"]
+    cut_ends: Int[Tensor, "c 2"]
+    cut_shares: Float[Tensor, "c"]
     weights: Float[Tensor, "v 20"]
     tops: Int[ndarray, "20"]
 
@@ -47,12 +50,20 @@ class TorchModel:
         expected = [-1 if parents[top] < 0 else group[parents[top]] for top in tops]
         if expected != list(POSTURE_PARENTS):
             raise ValueError("the bones that share a row of the posture do not hang together in this model")
+        mesh = model.region_mesh
         return cls(
-            torch.from_numpy(model.faces.astype(np.int64)).to(device),
-            torch.from_numpy(model.face_regions).to(device),
+            torch.from_numpy(mesh.faces.astype(np.int64)).to(device),
+            torch.from_numpy(mesh.regions).to(device),
+            torch.from_numpy(mesh.ends.astype(np.int64)).to(device),
+            torch.from_numpy(mesh.shares).to(device),
             posture_weights(model, model.skin_indices, model.skin_weights).to(device),
             tops,
         )
+
+    def points(self, vertices: Float[Tensor, "b v 3"]) -> Float[Tensor, "b p 3"]:
+        """What ``faces`` index: the vertices of meshes, and the points of the cuts on their edges."""
+        first, second = vertices[:, self.cut_ends[:, 0]], vertices[:, self.cut_ends[:, 1]]
+        return torch.cat([vertices, first + self.cut_shares[:, None] * (second - first)], 1)
 
     def pivots(self, body: Body) -> Float[ndarray, "20 3"]:
         """The points of a body at rest that the bones of a posture turn about, metres."""

@@ -111,8 +111,9 @@ class TorchSynth:
         pose = random_poses(vertices, settings, generator)
         cameras = TorchCameras(self._intrinsics[sensor], pose)
         model, sizes = self.people.model, self._sizes[sensor]
+        points = model.points(vertices)
         view = view_windows(
-            vertices, model.faces, model.face_regions, cameras, sizes, layers, settings.window, settings.person
+            points, model.faces, model.face_regions, cameras, sizes, layers, settings.window, settings.person
         )
         depth, mask = view.rendering.depth_m, view.rendering.person
         if settings.noise is not None:
