@@ -52,9 +52,7 @@ def test_the_surface_stays_and_its_borders_are_shorter(body_model: BodyModel, de
     assert border_length(points, mesh.faces, mesh.regions) < 0.7 * before
     np.testing.assert_allclose(cut[1:], cut[MIRROR[1:]], rtol=0.05)
     for name in ("hand", "knee", "chest", "shoulder back"):
-        centres = [
-            points[mesh.faces[mesh.regions == REGION[f"{name} {side}"]]].mean((0, 1)) for side in ("R", "L")
-        ]
+        centres = [points[mesh.faces[mesh.regions == REGION[f"{name} {side}"]]].mean((0, 1)) for side in ("R", "L")]
         assert centres[0][0] < 0 < centres[1][0]
 
 
@@ -76,7 +74,9 @@ def test_any_body_in_any_posture_looks_the_same(body_model: BodyModel) -> None:
     posture = PosturePrior.load().sample(np.random.default_rng(8))[0]
     posed = body_model.shape(Phenotype(age=0.4, weight=0.9)).pose(posture)
     centre = posed.vertices.mean(0).astype(float)
-    camera = DepthCamera("c", 256, 212, 184.0, 183.0, 126.5, 102.5, look_at(centre + [1.0, -1.6, 0.4], centre))
+    camera = DepthCamera(
+        "c", 256, 212, 184.0, 183.0, 126.5, 102.5, look_at(centre + np.array([1.0, -1.6, 0.4]), centre)
+    )
 
     def drawn(points: np.ndarray, faces: np.ndarray, regions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         depth = np.full((camera.height, camera.width), np.inf, np.float32)

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINT_INDEX
-from depthmocap.evaluate.stories import HALF_X, HALF_Y, Story
+from depthmocap.evaluate.stories import HALF_X, HALF_Y, Stage, Story
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import Rig, look_at
 from depthmocap.synth.render import Material, render_person
@@ -53,7 +53,7 @@ class Encounter:
         self.rig = Rig(tuple(_mount(rng, i, cameras, preset) for i, preset in enumerate(self._presets)))
         self._chair = np.array([rng.uniform(1.0, 1.4), rng.uniform(-1.4, -1.0)])
         people = story.cast(rng)
-        self._people = tuple(zip(people, story.ways(rng, people, self._chair, self.times_s), strict=True))
+        self._people = tuple(zip(people, story.ways(rng, Stage(people, self._chair, self.times_s)), strict=True))
         self._pushed_s = story.pushed_s
         self._rooms = {shift: self._draw_room(shift) for shift in (0.0, 1.0)}
         noise = np.random.default_rng([self._seed, 1])

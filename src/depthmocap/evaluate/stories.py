@@ -29,6 +29,15 @@ _PASSING_M = 0.6
 _BESIDE = ((2.2, 1.05), (0.15, 1.82), (2.65, 1.68))
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Stage:
+    """Who acts, where the chair stands (x, y), and the moments that are looked at."""
+
+    people: list[DressedBody]
+    chair: Float[ndarray, "2"]
+    times_s: Float[ndarray, " n"]
+
+
 @runtime_checkable
 class Story(Protocol):
     """People and their ways.
@@ -48,13 +57,7 @@ class Story(Protocol):
         """The people."""
         ...
 
-    def ways(
-        self,
-        rng: np.random.Generator,
-        people: list[DressedBody],
-        chair: Float[ndarray, "2"],
-        times_s: Float[ndarray, " n"],
-    ) -> list[Motion]:
+    def ways(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
         """How each of them moves."""
         ...
 
@@ -71,26 +74,20 @@ class Meeting:
     def cast(self, rng: np.random.Generator) -> list[DressedBody]:
         return [_somebody(rng) for _ in range(2)]
 
-    def ways(
-        self,
-        rng: np.random.Generator,
-        people: list[DressedBody],
-        chair: Float[ndarray, "2"],
-        times_s: Float[ndarray, " n"],
-    ) -> list[Motion]:
+    def ways(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
         x, y = rng.uniform(-0.2, 0.2, 2)
         first = [
             Stop(-HALF_X - _OUTSIDE, y), Stop(x, y, 7.0), Stop(x + 0.2, y + 1.1, 0.5), Stop(x - 0.9, y - 0.9, 1.0),
             Stop(x, y),
         ]  # fmt: skip
         second = [
-            Stop(chair[0] - 0.1, HALF_Y + _OUTSIDE), Stop(chair[0] - 0.45, chair[1] + 0.2, 0.3),
+            Stop(stage.chair[0] - 0.1, HALF_Y + _OUTSIDE), Stop(stage.chair[0] - 0.45, stage.chair[1] + 0.2, 0.3),
             Stop(x + self.apart_m, y, 1.0), Stop(x - 0.2, y - 1.3, 0.4), Stop(HALF_X + _OUTSIDE, y - 0.5, 1.5),
             Stop(x + 1.0, y - 0.1),
         ]  # fmt: skip
         return [
-            stroll(people[0], first, 0.3, rng.uniform(1.0, 1.2), times_s),
-            stroll(people[1], second, 3.0, rng.uniform(1.0, 1.2), times_s),
+            stroll(stage.people[0], first, 0.3, rng.uniform(1.0, 1.2), stage.times_s),
+            stroll(stage.people[1], second, 3.0, rng.uniform(1.0, 1.2), stage.times_s),
         ]
 
 
@@ -123,20 +120,18 @@ class Visits:
             people.append(_visitor(rng, [stature_m(each) for each in people], self.alike))
         return people
 
-    def ways(
-        self,
-        rng: np.random.Generator,
-        people: list[DressedBody],
-        chair: Float[ndarray, "2"],
-        times_s: Float[ndarray, " n"],
-    ) -> list[Motion]:
-        again = times_s >= self.seconds / 2
+    def ways(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
+        again = stage.times_s >= self.seconds / 2
         while True:
             plans = self._draw_plans(rng)
-            places = [np.where(again[:, None], two[1].places(times_s), two[0].places(times_s)) for two in plans]
+            places = [
+                np.where(again[:, None], two[1].places(stage.times_s), two[0].places(stage.times_s)) for two in plans
+            ]
             if all(_apart_m(places[i], places[j]) > _PASSING_M for i in range(self.people) for j in range(i)):
                 break
-        motions = [[visit.motion(one, times_s) for visit in two] for one, two in zip(people, plans, strict=True)]
+        motions = [
+            [visit.motion(one, stage.times_s) for visit in two] for one, two in zip(stage.people, plans, strict=True)
+        ]
         if self.newcomer:
             motions[-1][0] = motions[-1][1]
         return [_joined(first, second, again) for first, second in motions]
@@ -194,16 +189,10 @@ class Beside:
     def cast(self, rng: np.random.Generator) -> list[DressedBody]:
         return [_visitor(rng, [], False)]
 
-    def ways(
-        self,
-        rng: np.random.Generator,
-        people: list[DressedBody],
-        chair: Float[ndarray, "2"],
-        times_s: Float[ndarray, " n"],
-    ) -> list[Motion]:
+    def ways(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
         x, y = _BESIDE[int(rng.integers(len(_BESIDE)))]
         stops = [Stop(x, y), _stop(rng.uniform(-0.4, 0.4, 2), 1.0), Stop(-1.2, -0.3)]
-        motion = stroll(people[0], stops, self.stands_s, 1.1, times_s)
+        motion = stroll(stage.people[0], stops, self.stands_s, 1.1, stage.times_s)
         return [_sway(rng, motion)]
 
 
@@ -217,13 +206,7 @@ class Empty:
     def cast(self, rng: np.random.Generator) -> list[DressedBody]:
         return []
 
-    def ways(
-        self,
-        rng: np.random.Generator,
-        people: list[DressedBody],
-        chair: Float[ndarray, "2"],
-        times_s: Float[ndarray, " n"],
-    ) -> list[Motion]:
+    def ways(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
         return []
 
 
