@@ -251,6 +251,23 @@ def test_tilted_bodies() -> None:
     assert world_rotations(draw(upright, 50))[:, 0, 2, 2].min() > 0.99
 
 
+def test_a_share_of_postures_stays_as_recorded() -> None:
+    varied = Variation(mirror=0.0, recombine=1.0, noise_rad=0.05, limb=1.0, tilt=1.0, sit=1.0, as_recorded=0.4)
+    source = ClipPostures([swinging_clip("a", 1), swinging_clip("b", 2)], "train", False, varied)
+    postures = draw(source, 200)
+    # But for the heading, which is the pelvis's.
+    off = np.abs(source.postures[None, :, 1:] - postures[:, None, 1:]).max((2, 3)).min(1)
+    kept = off < 1e-6
+    assert kept.mean() == pytest.approx(0.4, abs=0.1)
+    assert off[~kept].min() > 0.02
+    assert world_rotations(postures[kept])[:, 0, 2, 2].min() > 0.99
+    prior = PosturePrior.load(variation=dataclasses.replace(varied, as_recorded=1.0))
+    plain = PosturePrior.load(variation=dataclasses.replace(AS_RECORDED, as_recorded=1.0))
+    for seed in range(5):
+        ours, theirs = (each.sample(np.random.default_rng(seed))[0] for each in (prior, plain))
+        np.testing.assert_array_equal(ours, theirs)
+
+
 def test_walking_and_running_people_keep_their_limbs_and_stand() -> None:
     prior = posture_source(None, "train", simple=True, variation=TRAINING_VARIATION)
     assert isinstance(prior, PosturePrior)

@@ -66,6 +66,7 @@ class Variation:
         tilt: share of bodies that are tilted as a whole, by any angle to any side: lying, falling, upside down.
         sit: share of bodies whose legs are those of somebody who sits.
         touch: share of bodies that lay one or both hands on themselves.
+        as_recorded: share to which nothing of all this is done but mirroring.
     """
 
     mirror: float = 0.5
@@ -75,14 +76,23 @@ class Variation:
     tilt: float = 0.0
     sit: float = 0.0
     touch: float = 0.0
+    as_recorded: float = 0.0
 
     def of(self, simple: bool) -> Variation:
         """The same for people who walk and run: they keep their limbs and stand."""
         return dataclasses.replace(self, limb=0.0, tilt=0.0, sit=0.0, touch=0.0) if simple else self
 
+    def of_one(self, rng: np.random.Generator) -> Variation:
+        """What is done to one posture: all of it, or mirroring alone."""
+        if self.as_recorded and rng.random() < self.as_recorded:
+            return Variation(mirror=self.mirror)
+        return self
 
-#: For training: more postures than were recorded.
-TRAINING_VARIATION = Variation(mirror=0.5, recombine=0.25, noise_rad=0.06, limb=0.2, tilt=0.12, sit=0.12, touch=0.3)
+
+#: For training: more postures than were recorded, beside as many as they were, which are what most people do.
+TRAINING_VARIATION = Variation(
+    mirror=0.5, recombine=0.25, noise_rad=0.06, limb=0.2, tilt=0.12, sit=0.12, touch=0.3, as_recorded=0.5
+)
 
 
 def joint_positions(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n 20 3"]:
@@ -158,13 +168,14 @@ class ClipPostures:
         """A posture with a random heading, and the index of its clip."""
         index = int(rng.integers(len(self.postures)))
         posture = self.postures[index].astype(np.float64)
-        if rng.random() < self._variation.recombine:
+        variation = self._variation.of_one(rng)
+        if rng.random() < variation.recombine:
             posture[UPPER_BONES] = self.postures[rng.integers(len(self.postures))][UPPER_BONES]
-        if self._variation.limb > 0:
+        if variation.limb > 0:
             for bones in _LIMBS:
-                if rng.random() < self._variation.limb:
+                if rng.random() < variation.limb:
                     posture[bones] = self.postures[rng.integers(len(self.postures))][bones]
-        return _vary(posture, self._variation, rng), int(self.groups[index])
+        return _vary(posture, variation, rng), int(self.groups[index])
 
 
 def _vary(posture: Float[ndarray, "20 3"], variation: Variation, rng: np.random.Generator) -> Float[ndarray, "20 3"]:
@@ -217,7 +228,7 @@ class PosturePrior:
         component = int(rng.choice(len(weights), p=weights / weights.sum()))
         latent = np.clip(rng.normal(size=self.factors.shape[2]), -2.5, 2.5) * 0.8
         posture = (self.means[component] + self.factors[component] @ latent).reshape(-1, 3)
-        return _vary(posture, self.variation, rng), component
+        return _vary(posture, self.variation.of_one(rng), rng), component
 
 
 def anny_rest() -> dict[str, Float[ndarray, "3"]]:
