@@ -16,8 +16,10 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.classify.train import ClassifierTraining, load_weights, train_classifier
 from depthmocap.cli import main
 from depthmocap.datasets.ubc3v import Section, sections
+from depthmocap.evaluate.synthetic import measure
 from depthmocap.evaluate.ubc3v import Ubc3vEvaluation, evaluate_ubc3v
 from depthmocap.pose.collect import PoseSamples, collect, read_samples, with_parts_of
+from depthmocap.pose.estimate import load_estimator
 from depthmocap.pose.ridge import RidgeBank
 from depthmocap.pose.train import PoseTraining, train_pose
 from depthmocap.synth.output.generate import SynthSettings, generate
@@ -94,6 +96,36 @@ def test_evaluation_on_network_labels(root, views, combinations, tmp_path):
     assert numbers["mean_joint_error_cm"] < 20
     assert numbers["ms_per_frame"] > 0
     assert numbers["joints_missing"] == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"views": 0}, "--views must be at least 1, got 0"),
+        ({"views": -1}, "--views must be at least 1, got -1"),
+        ({"views": 4}, "--views must be at most 3, the cameras of .*, got 4"),
+        ({"limit": 0}, "--limit must be at least 1, got 0"),
+        ({"limit": -1}, "--limit must be at least 1, got -1"),
+    ],
+)
+def test_numbers_that_no_evaluation_can_have(root, tmp_path, change, message):
+    path = tmp_path / "numbers.json"
+    with pytest.raises(InputError, match=message):
+        # Of weights that are not there nothing is told: the check comes before any work.
+        evaluate_ubc3v(Ubc3vEvaluation(root, **change, weights=tmp_path / "none.onnx", json=path))
+    assert not path.exists()
+
+
+def test_a_camera_may_be_missing_from_a_frame_but_not_from_all(root):
+    (path,) = sections(root, "hard-pose", "test")
+    frames = [Section(path)[i] for i in range(2)]
+    estimator = load_estimator("votes", "true")
+    short = [dataclasses.replace(frame, views=frame.views[:2]) for frame in frames]
+    found = measure([frames[0], short[1]], 3, estimator, None)
+    assert found is not None
+    assert (found["views"], found["frames"]) == (3, 2)
+    with pytest.raises(InputError, match="no sample has 3 views: the data have labels of 2 cameras"):
+        measure(short, 3, estimator, None)
 
 
 def test_evaluation_says_what_is_missing(tmp_path, capsys):

@@ -77,6 +77,54 @@ def test_preview_with_and_without_a_name(picture, tmp_path, given, name, monkeyp
 
 
 @pytest.mark.parametrize(
+    ("out", "preview", "message"),
+    [
+        ("depth.png", None, "--out must not be the depth image"),
+        ("./sub/../depth.png", None, "--out must not be the depth image"),
+        ("mask.png", None, "--out must not be the mask"),
+        ("link.png", None, "--out must not be the mask"),
+        ("labels.png", ("depth.png",), "--preview must not be the depth image"),
+        ("labels.png", ("mask.png",), "--preview must not be the mask"),
+        ("labels.png", ("labels.png",), "--preview must not be the labels"),
+        ("depth.jpg", None, r"--out must end in \.png, got"),
+        ("labels", (), r"--out must end in \.png, got"),
+    ],
+)
+def test_results_never_take_the_place_of_inputs_or_of_each_other(tmp_path, out, preview, message):
+    depth, mask = tmp_path / "depth.png", tmp_path / "mask.png"
+    cv2.imwrite(str(depth), np.full((40, 50), 2000, np.uint16))
+    cv2.imwrite(str(mask), np.full((40, 50), 255, np.uint8))
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "link.png").symlink_to(mask)
+    before = {path: path.read_bytes() for path in (depth, mask)}
+    names = preview if preview is None else tuple(tmp_path / name for name in preview)
+    with pytest.raises(InputError, match=message):
+        label_image(LabelSettings(depth, tmp_path / out, mask=mask, preview=names))
+    assert {path: path.read_bytes() for path in before} == before
+    assert {path.name for path in tmp_path.iterdir()} == {"depth.png", "mask.png", "link.png", "sub"}
+
+
+def test_the_preview_beside_the_labels_is_not_the_input(tmp_path):
+    path = tmp_path / "labels_preview.png"
+    cv2.imwrite(str(path), np.full((40, 50), 2000, np.uint16))
+    with pytest.raises(InputError, match="--preview must not be the depth image"):
+        label_image(LabelSettings(path, tmp_path / "labels.png", preview=()))
+
+
+def test_the_preview_may_be_any_picture(picture, tmp_path):
+    label_image(settings(tmp_path, picture[0], preview=(tmp_path / "preview.jpg",)))
+    assert cv2.imread(str(tmp_path / "preview.jpg")).shape == (*picture[0].shape, 3)
+
+
+@pytest.mark.parametrize("value", [-3.0, 0.0, np.nan, np.inf])
+@pytest.mark.parametrize("name", ["fx", "fy", "depth_unit"])
+def test_lengths_are_finite_and_above_0(picture, tmp_path, name, value):
+    option = "--" + name.replace("_", "-")
+    with pytest.raises(InputError, match=f"{option} must be finite and above 0, got {value}"):
+        label_image(settings(tmp_path, picture[0], **{name: value}))
+
+
+@pytest.mark.parametrize(
     ("image", "message"),
     [
         (np.zeros((40, 50), np.uint8), "16-bit"),

@@ -107,6 +107,52 @@ def test_nobody_in_any_frame_is_one_error(recording, tmp_path):
         run(RunSettings(recording, tmp_path / "out", report=False))
 
 
+def test_a_failed_run_leaves_no_results_of_an_earlier_one(recording, tmp_path):
+    run(RunSettings(recording, tmp_path / "out", segment="none"))
+    with pytest.raises(InputError, match="no person"):
+        run(RunSettings(recording, tmp_path / "out", report=False))
+    left = {path.name for path in (tmp_path / "out").iterdir()}
+    assert left <= {"pose.csv"}
+    assert np.isnan(read_csv(tmp_path / "out" / "pose.csv")[1]).all()
+
+
+def test_a_long_pause_costs_the_bvh_alone(recording, tmp_path, capsys):
+    path = copy(recording, tmp_path)
+    for camera in ("cam0", "cam1", "cam2"):
+        last = sorted((path / camera).glob("*.png"))[-1]
+        last.rename(last.with_name(f"{int(last.stem) + 3600 * 10**9}.png"))
+    assert main(["run", str(path), "--out", str(tmp_path / "out"), "--segment", "none"]) == 0
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    (problem,) = [each for each in summary["problems"] if "bvh" in each]
+    assert "3600 s after frame 4" in problem
+    assert "pauses" in capsys.readouterr().err
+    assert {path.name for path in (tmp_path / "out").iterdir()} >= {"pose.csv", "pose.trc", "report.html"}
+    assert not (tmp_path / "out" / "pose.bvh").exists()
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e-8])
+def test_timestamps_in_another_unit_are_refused(recording, tmp_path, factor):
+    """Milliseconds, or counts of frames."""
+    path = copy(recording, tmp_path)
+    for file in path.glob("cam*/*.png"):
+        file.rename(file.with_name(f"{round(int(file.stem) * factor)}.png"))
+    with pytest.raises(InputError, match="must be in nanoseconds"):
+        open_source(path)
+
+
+def test_many_problems_are_told_in_few_lines(recording, tmp_path, capsys):
+    path = copy(recording, tmp_path)
+    for file in sorted((path / "cam0").glob("*.png"))[1:]:
+        file.write_bytes(file.read_bytes()[:40])
+    assert main(["run", str(path), "--out", str(tmp_path / "out"), "--segment", "none", "--no-report"]) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert told.count("is not a complete PNG") == 4
+    assert "1 more of this kind" in told
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert len(summary["problems"]) == 5
+    assert summary["first_timestamp_ns"] == 1_000_000_000
+
+
 def test_python_api(recording):
     pipeline = load_pipeline(recording, segment="none", smooth="none")
     source = open_source(recording)

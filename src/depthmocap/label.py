@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
 
 import cv2
@@ -49,6 +50,29 @@ class LabelSettings:
     weights: Path | None = None
 
 
+def _preview_path(settings: LabelSettings) -> Path | None:
+    if settings.preview is None:
+        return None
+    return settings.preview[0] if settings.preview else settings.out.with_stem(settings.out.stem + "_preview")
+
+
+def _check(settings: LabelSettings) -> None:
+    for option, value in (("--fx", settings.fx), ("--fy", settings.fy), ("--depth-unit", settings.depth_unit)):
+        if value is not None and not 0 < value < math.inf:
+            raise InputError(f"{option} must be finite and above 0, got {value}")
+    if settings.out.suffix.lower() != ".png":  # others lose what the labels are
+        raise InputError(f"--out must end in .png, got {settings.out}")
+    taken = {settings.depth.resolve(): "the depth image"}
+    if settings.mask is not None:
+        taken[settings.mask.resolve()] = "the mask"
+    for option, path in (("--out", settings.out), ("--preview", _preview_path(settings))):
+        if path is None:
+            continue
+        if what := taken.get(path.resolve()):
+            raise InputError(f"{option} must not be {what}, got {path}: choose another name")
+        taken[path.resolve()] = "the labels"
+
+
 def _read(path: Path) -> ndarray:
     try:
         with Image.open(path) as image:
@@ -72,8 +96,6 @@ def _read_depth(settings: LabelSettings) -> tuple[Float[ndarray, "h w"], Bool[nd
             f"{settings.depth}: depth must be a 16-bit grey PNG, got {image.dtype} of shape {image.shape}; "
             "UBC3V's RGBA pictures need --ubc3v"
         )
-    if settings.depth_unit <= 0:
-        raise InputError(f"--depth-unit must be positive, got {settings.depth_unit}")
     depth = np.where(image >= 65535, 0, image).astype(np.float32) * np.float32(settings.depth_unit)
     return depth, depth > 0
 
@@ -94,8 +116,10 @@ def label_image(settings: LabelSettings) -> UInt8[ndarray, "h w"]:
     """Label the image and write the results; returns the labels.
 
     Raises:
-        InputError: unreadable or unsuitable images, or nobody in the picture.
+        InputError: unreadable or unsuitable images, values out of range, results that would take the place of an
+            input or of each other, or nobody in the picture.
     """
+    _check(settings)
     depth, person = _read_depth(settings)
     if settings.mask is not None:
         mask = _read(settings.mask)
@@ -109,11 +133,10 @@ def label_image(settings: LabelSettings) -> UInt8[ndarray, "h w"]:
     if not labels.any():
         raise InputError(f"{settings.depth}: no person found; {np.count_nonzero(person)} pixels have valid depth")
     _write(settings.out, labels)
-    if settings.preview is not None:
+    if (preview := _preview_path(settings)) is not None:
         from depthmocap.report.pictures import colour_labels
 
-        picture = settings.preview[0] if settings.preview else settings.out.with_stem(settings.out.stem + "_preview")
-        _write(picture, np.ascontiguousarray(colour_labels(labels, depth)[..., ::-1]))
+        _write(preview, np.ascontiguousarray(colour_labels(labels, depth)[..., ::-1]))
     return labels
 
 

@@ -33,6 +33,9 @@ from depthmocap.pose.estimate import load_estimator
 from depthmocap.pose.track import AUTO, Bones, Smoothing, load_filter
 from depthmocap.report.metrics import joint_metrics
 
+#: What a run writes beside the folders of people.
+RESULTS = ("pose.csv", "pose.trc", "pose.bvh", "summary.json", "report.html", "preview.webp")
+
 
 @dataclasses.dataclass(frozen=True)
 class RunSettings:
@@ -158,6 +161,8 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
         TextColumn("capturing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
         TextColumn("{task.fields[rate]}"),
     )  # fmt: skip
+    for name in RESULTS:  # an earlier run's must not stand beside this one's, should it fail
+        (settings.out / name).unlink(missing_ok=True)
     everybody = PeopleFiles(settings.out, source.up)
     with CsvWriter(settings.out / "pose.csv") as csv, everybody, Progress(*columns, console=console) as progress:
         task = progress.add_task("capturing", total=len(source), rate="")
@@ -198,10 +203,14 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     poses, truths, times = [row[0] for row in rows], [row[1] for row in rows], [row[2] for row in rows]
     problems = [*getattr(source, "problems", []), *getattr(pipeline.segment, "problems", [])]
     if not poses or all(np.isnan(pose.joints).all() for pose in poses):
-        hint = " ".join(problems) or "try --segment none, or add a background.png for each camera"
+        hint = " ".join(_few(problems)) or "try --segment none, or add a background.png for each camera"
         raise InputError(f"{settings.recording}: no person was found in any of {len(poses)} frames: {hint}")
     write_trc(settings.out / "pose.trc", poses, source.up)
-    held = write_bvh(settings.out / "pose.bvh", poses, source.up)
+    held = []
+    try:
+        held = write_bvh(settings.out / "pose.bvh", poses, source.up)
+    except InputError as error:  # everything else is whole
+        problems.append(f"no pose.bvh: {error}")
     summary = _summary(settings, poses, truths, times, delivered, held, problems)
     if settings.people > 1:
         summary["frames_by_person"] = {str(number): count for number, count in sorted(everybody.poses.items())}
@@ -210,7 +219,21 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     if pictures is not None:
         with console.status("drawing the report"):
             write_run_report(settings.out, summary, pictures, np.stack(truths), np.stack([p.joints for p in poses]))
+    _tell(summary, settings.out, console)
     return summary
+
+
+def _few(problems: list[str], most: int = 4) -> list[str]:
+    """The first of many problems, and how many more there are."""
+    return problems if len(problems) <= most else [*problems[:most], f"And {len(problems) - most} more of this kind."]
+
+
+def _tell(summary: dict[str, Any], out: Path, console: Console) -> None:
+    """What came of it, and what was wrong."""
+    gaps = f", {summary['gaps']} without a person" if summary["gaps"] else ""
+    console.print(f"{summary['frames']} frames{gaps}; written to {out}", highlight=False)
+    for problem in _few(summary["problems"]):
+        console.print(f"  {problem}", highlight=False, markup=False)
 
 
 def _recorded_rate(poses: list[Pose]) -> float:
@@ -235,6 +258,7 @@ def _summary(
     per_frame = np.array([sum(row.values()) for row in times])
     summary: dict[str, Any] = {
         "recording": str(settings.recording),
+        "first_timestamp_ns": poses[0].timestamp_ns,
         "version": __version__,
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
         "frames": len(poses),

@@ -1,6 +1,7 @@
 """Recordings from one form to another and back, recorded anew, recovered."""
 
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from rich.console import Console
 pytest.importorskip("foxglove")
 pytest.importorskip("zstandard")
 
+from depthmocap.capture import record as record_module
 from depthmocap.capture.convert import ConvertSettings, InfoSettings, RecoverSettings, convert, info, recover
 from depthmocap.capture.depth_codec import CODINGS, Coding
 from depthmocap.capture.mcap_recording import McapRecording
@@ -18,6 +20,7 @@ from depthmocap.capture.record import RecordSettings, record
 from depthmocap.capture.recorded import Pace
 from depthmocap.capture.recording import Recording, RecordingWriter
 from depthmocap.capture.replay import ReplaySettings, play, replay
+from depthmocap.capture.source import CameraError, DepthFrame, DepthSource, NoFrame
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, look_at
 
@@ -126,6 +129,61 @@ def test_what_cannot_be_recorded(folder: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "x.mcap").exists()
 
 
+@pytest.mark.parametrize("name", ["take.txt", "take", "take.mcap.part"])
+def test_a_recording_has_a_name_that_commands_can_read(
+    folder: Path, tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def opened(*arguments: object) -> list[DepthSource]:
+        raise AssertionError("cameras were looked for")
+
+    monkeypatch.setattr(record_module, "make_sources", opened)
+    with pytest.raises(InputError, match=rf"--out must end in \.mcap, got .*{name}"):
+        record(RecordSettings((str(folder),), tmp_path / name), QUIET)
+    convert(ConvertSettings(folder, tmp_path / "x.mcap"), QUIET)
+    with pytest.raises(InputError, match=rf"the new file must end in \.mcap, got .*{name}"):
+        recover(RecoverSettings(tmp_path / "x.mcap", tmp_path / name), QUIET)
+    assert not (tmp_path / name).exists()
+
+
+@pytest.mark.parametrize("name", ["take.mkv", "take.ONI", "take.bag"])
+def test_no_folder_is_named_as_a_file_of_other_makers(folder: Path, tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=rf"a file that ends in \.mcap, or a folder, got .*{name}"):
+        convert(ConvertSettings(folder, tmp_path / name), QUIET)
+    assert not (tmp_path / name).exists()
+
+
+class Silent(DepthSource):
+    """A camera that opens, and then delivers nothing: for ever, or until it is lost."""
+
+    def __init__(self, camera: DepthCamera, lost: str = "") -> None:
+        super().__init__(camera.name)
+        self._lens, self._lost = camera, lost
+
+    def _open(self) -> DepthCamera:
+        return self._lens
+
+    def _read(self, timeout_s: float) -> DepthFrame:
+        if self._lost:
+            raise CameraError(self._lost)
+        time.sleep(0.01)
+        raise NoFrame("nothing yet")
+
+    def _close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("lost", "reason"), [("", "are the cameras running\\?"), ("camera 'a' was unplugged", "camera 'a' was unplugged")]
+)
+def test_a_recording_without_a_frame_is_an_error(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lost: str, reason: str
+) -> None:
+    source = Silent(Recording(folder).rig["a"], lost)
+    monkeypatch.setattr(record_module, "make_sources", lambda *arguments: [source])
+    with pytest.raises(InputError, match=rf"no frame came in \d\.\d s: {reason}; .*x\.mcap holds no frame"):
+        record(RecordSettings(("a",), tmp_path / "x.mcap", seconds=0.05), QUIET)
+
+
 def test_recover_makes_a_whole_file(folder: Path, tmp_path: Path) -> None:
     convert(ConvertSettings(folder, tmp_path / "x.mcap"), QUIET)
     data = (tmp_path / "x.mcap").read_bytes()
@@ -196,3 +254,9 @@ def test_replay_serves(folder: Path) -> None:
     assert replay(ReplaySettings(folder, speed=100.0, port=0), QUIET) == 11
     with pytest.raises(InputError, match="--speed"):
         replay(ReplaySettings(folder, speed=0.0), QUIET)
+
+
+@pytest.mark.parametrize("port", [-1, 65536, 99999])
+def test_replay_serves_on_a_port_that_can_be(folder: Path, port: int) -> None:
+    with pytest.raises(InputError, match=f"--port must be from 0 to 65535, got {port}"):
+        replay(ReplaySettings(folder, speed=100.0, port=port), QUIET)

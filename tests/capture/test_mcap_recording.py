@@ -14,8 +14,9 @@ import pytest
 pytest.importorskip("foxglove")
 pytest.importorskip("zstandard")
 
+from depthmocap.capture.convert import RecoverSettings, recover
 from depthmocap.capture.depth_codec import Coding, decode_depth
-from depthmocap.capture.mcap_file import McapFile
+from depthmocap.capture.mcap_file import McapFile, iterate_topics
 from depthmocap.capture.mcap_recording import McapRecording
 from depthmocap.capture.mcap_writer import McapWriter
 from depthmocap.errors import InputError
@@ -112,8 +113,8 @@ def test_another_reader_reads_the_file(tmp_path: Path, coding: Coding) -> None:
     with (tmp_path / "rec.mcap").open("rb") as stream:
         reader = reader_module.make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
-        assert summary.statistics.message_count == 2 * (2 + 3)
-        assert len(summary.chunk_indexes) == 1 + 2 * 3
+        assert summary.statistics.message_count == 2 * (2 + 3 + 2)  # calibrations stand at both ends
+        assert len(summary.chunk_indexes) == 1 + 2 * 3 + 1
         names = {channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()}
         frames = 0
         for schema, channel, message in reader.iter_messages():
@@ -175,7 +176,7 @@ def test_a_cut_recording_says_so_and_runs(file: Path, tmp_path: Path) -> None:
 
 def test_a_flipped_bit_costs_one_frame(file: Path) -> None:
     with McapFile(file) as whole:
-        message = whole.messages[-3]
+        message = [m for m in whole.messages if whole.channels[m.channel].topic.endswith("depth")][-3]
         at = whole._chunk(message.chunk)[1] + message.end - 20
     data = bytearray(file.read_bytes())
     data[at] ^= 1
@@ -185,6 +186,31 @@ def test_a_flipped_bit_costs_one_frame(file: Path) -> None:
     assert sum(views) == 9
     assert len(recording.problems) == 1
     assert "damaged" in recording.problems[0]
+
+
+@pytest.mark.parametrize("kind", ["calibration", "transform", "background", "first frame", "last calibration"])
+def test_any_damage_costs_what_it_hits_alone(tmp_path: Path, kind: str) -> None:
+    path, camera = tmp_path / "rec.mcap", make_rig().cameras[0]
+    write(path, backgrounds={camera.name: make_frame(camera)})
+    with McapFile(path) as whole:
+        found = {topic.topic: messages for topic, messages in iterate_topics(whole)}
+        topic = "depth" if kind == "first frame" else kind.split()[-1]
+        messages = found[f"/{camera.name}/{topic}"]
+        message = messages[-1 if kind.startswith("last") else 0]
+        at = whole._chunk(message.chunk)[1] + message.end - 5
+    data = bytearray(path.read_bytes())
+    data[at] ^= 1
+    path.write_bytes(data)
+    for file in (path, tmp_path / "recovered.mcap"):
+        if not file.exists():
+            recover(RecoverSettings(path, file))
+        recording = McapRecording(file)
+        assert all(same_camera(a, b) for a, b in zip(recording.rig.cameras, make_rig().cameras, strict=True))
+        views = [len(frame_set.views) for frame_set in recording]
+        assert sum(views) == (9 if kind == "first frame" else 10)
+        assert (recording.background(camera.name) is None) == (kind == "background")
+        if file == path:
+            assert recording.problems
 
 
 def test_a_killed_writer_leaves_every_frame_it_reported(tmp_path: Path) -> None:

@@ -234,6 +234,14 @@ def test_frames_of_unknown_cameras_are_ignored():
     assert sync.next_deadline_ns() is None
 
 
-def test_bad_settings():
-    with pytest.raises(InputError, match="rate_hz"):
-        Synchroniser(SyncSettings(rate_hz=0.0))
+@pytest.mark.parametrize(
+    ("name", "value", "limit"),
+    [
+        *(("rate_hz", value, "finite and above 0") for value in (0.0, -3.0, np.nan, np.inf)),
+        *(("wait_ms", value, "finite and at least 0") for value in (-5.0, np.nan, np.inf)),
+        *((name, value, "above 0") for name in ("lost_after_s", "max_skew_ms") for value in (0.0, np.nan)),
+    ],
+)
+def test_bad_settings(name, value, limit):
+    with pytest.raises(InputError, match=f"^{name} must be {limit}, got {value}$"):
+        Synchroniser(SyncSettings(**{name: value}))

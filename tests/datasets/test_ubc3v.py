@@ -340,25 +340,44 @@ def test_sections_say_what_is_missing(tmp_path):
 # Broken sections
 
 
+def assert_left_out(path, file, message):
+    section = Section(path)
+    views = section[0].views
+    assert "Cam1" not in [view.camera.name for view in views]
+    (problem,) = section.problems
+    assert str(file) in problem
+    assert message in problem
+
+
 def test_broken_images(tmp_path):
     path, _ = write_section(tmp_path, count=1)
     depth, labels = image_paths(path, "Cam1", 0)
     whole = depth.read_bytes()
     for damage, message in [(whole[: len(whole) // 2], "damaged"), (b"", "damaged"), (b"not a PNG", "damaged")]:
         depth.write_bytes(damage)
-        with pytest.raises(InputError, match=message) as caught:
-            Section(path)[0]
-        assert str(depth) in str(caught.value)
+        assert_left_out(path, depth, message)
     Image.new("RGBA", (64, 64)).save(depth)
-    with pytest.raises(InputError, match="got RGBA 64×64"):
-        Section(path)[0]
+    assert_left_out(path, depth, "got RGBA 64×64")
     Image.new("RGB", (512, 424)).save(depth)
-    with pytest.raises(InputError, match="got RGB 512×424"):
-        Section(path)[0]
+    assert_left_out(path, depth, "got RGB 512×424")
     depth.write_bytes(whole)
     labels.write_bytes(labels.read_bytes()[:300])
-    with pytest.raises(InputError, match="damaged"):
-        Section(path)[0]
+    assert_left_out(path, labels, "damaged")
+
+
+def test_a_damaged_image_costs_its_own_view_alone(tmp_path, caplog):
+    for number in (1, 2):
+        path, _ = write_section(tmp_path, section=number)
+    depth, _ = image_paths(path, "Cam1", 1)
+    depth.write_bytes(depth.read_bytes()[:200])
+    problems: list[str] = []
+    frames = list(iterate(tmp_path, "easy-pose", "train", problems=problems))
+    assert len(frames) == 6
+    seen = [len(frame.views) for frame in frames]
+    assert seen == [seen[0]] * 4 + [seen[0] - 1, seen[0]]
+    assert len(problems) == 1
+    assert str(depth) in problems[0]
+    assert str(depth) in caplog.text
 
 
 def test_broken_groundtruth(tmp_path):

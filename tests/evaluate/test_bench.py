@@ -52,6 +52,13 @@ def test_misplaced_cameras_cost_accuracy(body_model: BodyModel) -> None:
         evaluate_bench(dataclasses.replace(settings, misplaced_mm=-1.0), QUIET)
 
 
+@pytest.mark.parametrize("views", [0, -1])
+def test_no_posture_is_looked_at_by_no_camera(views: int, tmp_path: Path) -> None:
+    settings = BenchEvaluation(views=views, samples=1, sets=("seen",), workers=0, weights=tmp_path / "none.onnx")
+    with pytest.raises(InputError, match=f"--views must be at least 1, got {views}"):
+        evaluate_bench(settings, QUIET)
+
+
 def test_unknown_sets() -> None:
     with pytest.raises(InputError, match="--sets takes 'seen', 'new clothes', 'new sensor'"):
         evaluate_bench(BenchEvaluation(sets=("old",)), QUIET)

@@ -198,7 +198,9 @@ def test_the_python_interface(recording, virtual):
         ({"sources": ("nowhere",)}, "nowhere"),
         ({"seconds": 0.0}, "--seconds"),
         ({"record": Path("x.mcap")}, "--realtime"),
-        ({"rate_hz": -1.0}, "rate_hz"),
+        ({"record": Path("x.txt"), "realtime": True}, r"--record must end in \.mcap, got x\.txt"),
+        *(({"rate_hz": x}, f"--rate-hz must be finite and above 0, got {x}$") for x in (-1.0, 0.0, np.nan, np.inf)),
+        *(({"wait_ms": x}, f"--wait-ms must be finite and at least 0, got {x}$") for x in (-5.0, np.nan, np.inf)),
     ],
 )
 def test_bad_settings_are_one_clear_line(recording, change, message):

@@ -1,5 +1,7 @@
 """The filters over time, on motion that is known."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -234,6 +236,21 @@ def test_nothing_believed_is_nan():
 def test_bad_settings_are_refused(make):
     with pytest.raises(InputError):
         make()
+
+
+@pytest.mark.parametrize("value", [-1.0, 2.0, np.nan])
+@pytest.mark.parametrize("name", ["kalman", "fixed-lag"])
+def test_gaps_are_bridged_for_a_time_that_can_be(name, value):
+    with pytest.raises(InputError, match=rf"^--bridge-s must be from 0 to 0\.5, got {value}$"):
+        load_filter(name, bridge_s=value)
+
+
+@pytest.mark.parametrize("value", [-1.0, np.nan])
+@pytest.mark.parametrize("name", [each.name for each in dataclasses.fields(KalmanSettings) if each.name != "bridge_s"])
+def test_the_value_alone_is_named(name, value):
+    limit = "at least 0" if name in ("agility", "restart_s") else "above 0"
+    with pytest.raises(InputError, match=f"^Kalman filter: {name} must be {limit}, got {value}$"):
+        KalmanSettings(**{name: value})
 
 
 def test_filters_by_name_tell_what_they_are():

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 from scipy import sparse
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 #: Standard deviation of the Gaussian over which regions are mixed (metres, on the default body at rest): about an edge
 #: of the trunk, so that single faces do not show in a border; regions are three times as wide and more.
@@ -74,8 +74,8 @@ def _shares(
     corners = vertices[faces].astype(np.float64)
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     used, row = np.unique(faces, return_inverse=True)  # a model may have vertices that no face has
-    near = cKDTree(vertices[used]).sparse_distance_matrix(
-        cKDTree(corners.mean(1)), 3 * _SMOOTH_M, output_type="coo_matrix"
+    near = KDTree(vertices[used]).sparse_distance_matrix(
+        KDTree(corners.mean(1)), 3 * _SMOOTH_M, output_type="coo_matrix"
     )
     weights = np.exp(-0.5 * (near.data / _SMOOTH_M) ** 2) * areas[near.col]
     shape = (len(used), int(regions.max()) + 1)

@@ -23,6 +23,9 @@ from depthmocap.capture.open import open_recording
 from depthmocap.capture.recording import Recording, RecordingWriter
 from depthmocap.errors import InputError
 
+#: Names that every command takes for files of other makers, so that a folder of such a name could not be read back.
+_FOREIGN = (".mkv", ".oni", ".bag")
+
 
 @dataclasses.dataclass(frozen=True)
 class ConvertSettings:
@@ -48,9 +51,12 @@ def convert(settings: ConvertSettings, console: Console | None = None) -> dict[s
     """Convert, and tell how many frames were copied.
 
     Raises:
-        InputError: when the source is no recording, or the new one exists or cannot be written.
+        InputError: when the source is no recording, or the new one exists, cannot be written, or is named as a file of
+            another kind.
     """
     console = console or Console(stderr=True)
+    if settings.out.suffix.lower() in _FOREIGN:
+        raise InputError(f"the new recording must be a file that ends in .mcap, or a folder, got {settings.out}")
     source = open_recording(settings.source)
     backgrounds = {name: raw for name in source.rig.names if (raw := source.raw_background(name)) is not None}
     for name in source.rig.names:
@@ -98,7 +104,7 @@ class RecoverSettings:
 
     Attributes:
         source: the MCAP file; it is not changed.
-        out: the new file.
+        out: the new file (.mcap).
     """
 
     source: tyro.conf.Positional[Path]
@@ -109,9 +115,11 @@ def recover(settings: RecoverSettings, console: Console | None = None) -> dict[s
     """Copy everything that can be read into a new file, message by message as it was written.
 
     Raises:
-        InputError: when nothing is in the file, or the new one exists or cannot be written.
+        InputError: when nothing is in the file, or the new one exists, cannot be written, or is not named as MCAP.
     """
     console = console or Console(stderr=True)
+    if settings.out.suffix.lower() != ".mcap":
+        raise InputError(f"the new file must end in .mcap, got {settings.out}")
     frames = damaged = 0
     with McapFile(settings.source) as file:
         if not file.messages:

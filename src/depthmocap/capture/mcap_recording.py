@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float, UInt16
@@ -78,11 +79,12 @@ class McapRecording(Recording):
             if not messages:
                 continue
             if channel.schema_name == CALIBRATION:
-                calibration = read_calibration(self._file.payload(messages[-1]))
-                calibrations[calibration.frame_id] = calibration
+                for payload in self._payloads(messages):  # the last that can be read counts
+                    calibration = read_calibration(payload)
+                    calibrations[calibration.frame_id] = calibration
             elif channel.schema_name == TRANSFORM:
-                for message in messages:  # one channel may hold many cameras' transforms
-                    transform = read_transform(self._file.payload(message))
+                for payload in self._payloads(messages):  # one channel may hold many cameras' transforms
+                    transform = read_transform(payload)
                     transforms[transform.child] = (transform, channel)
             elif channel.schema_name in (RAW_IMAGE, COMPRESSED_IMAGE):
                 (backgrounds if channel.metadata.get("kind") == "background" else depth).append((channel, messages))
@@ -91,14 +93,36 @@ class McapRecording(Recording):
         if not calibrations:
             raise InputError(f"{self.path} has no {CALIBRATION}: without it depth is no use; record with depthmocap")
         self._images = self._by_camera(depth, calibrations)
-        self._empty = {
-            self._first(channel, messages).frame_id: (channel, messages[0]) for channel, messages in backgrounds
-        }
+        self._empty: dict[str, tuple[Channel, Message]] = {}
+        for channel, messages in backgrounds:
+            try:
+                self._empty[self._first(channel, messages).frame_id] = (channel, messages[0])
+            except InputError as error:
+                self._note(f"a background is left out: {error}")
         cameras = tuple(self._camera(calibrations[name], transforms, self._images.get(name)) for name in calibrations)
         if not any(images.messages for images in self._images.values()):
             raise InputError(f"{self.path} has no depth frame of its cameras ({', '.join(calibrations)})")
         stamps = {name: list(self._images[name].messages) if name in self._images else [] for name in calibrations}
         return Rig(cameras, own.get("up", "z")), stamps
+
+    def _check_first(self, name: str, stamps: list[int]) -> None:
+        """A file is made by one writer: where the first frame alone is damaged, it is a lost one."""
+        errors: list[InputError] = []
+        for stamp in stamps[:3]:
+            try:
+                self.raw(name, stamp)
+                return
+            except InputError as error:
+                errors.append(error)
+        raise errors[0]
+
+    def _payloads(self, messages: list[Message]) -> Iterator[bytes]:
+        """Of those messages that are not damaged."""
+        for message in messages:
+            try:
+                yield self._file.payload(message)
+            except InputError as error:
+                self._note(str(error))
 
     def close(self) -> None:
         """Close the file; frames cannot be read any more."""
@@ -130,7 +154,13 @@ class McapRecording(Recording):
             raise InputError(f"{self._where(name, what)}: {error}") from None
 
     def _first(self, channel: Channel, messages: list[Message]) -> Image:
-        return read_image(self._file.payload(messages[0]), channel.schema_name)
+        """The first picture that is not damaged."""
+        for message in messages[:-1]:
+            try:
+                return read_image(self._file.payload(message), channel.schema_name)
+            except InputError:
+                continue
+        return read_image(self._file.payload(messages[-1]), channel.schema_name)
 
     def _by_camera(
         self, depth: list[tuple[Channel, list[Message]]], calibrations: dict[str, Calibration]

@@ -15,6 +15,7 @@ afterwards, the frame is in the file.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import os
@@ -275,12 +276,14 @@ class McapWriter:
         for name, raw in (backgrounds or {}).items():
             check_frame(path, rig, name, raw)
         self._sink = McapSink(path)
-        self._lock = threading.Lock()
+        self._lock, self._closed = threading.Lock(), False
         start_ns = time.time_ns() if start_ns is None else start_ns
+        self._latest_ns = start_ns
         try:
             self._topics = Topics(self._sink.sdk, self._sink.context, rig, coding)
             self._sink.metadata(METADATA, {"version": VERSION, "up": rig.up})
             self._topics.describe(start_ns)
+            self._sink.flush()  # what all frames need shares its chunk with nothing large that could be damaged
             for name, raw in (backgrounds or {}).items():
                 self._topics.background(name, raw, start_ns)
             self._sink.flush()
@@ -327,9 +330,11 @@ class McapWriter:
         """
         check_frame(self.path, self.rig, name, raw)
         image = self._topics.image(name, timestamp_ns, raw)  # the costly part needs no lock
+        log_time_ns = timestamp_ns if log_time_ns is None else log_time_ns
         with self._lock:
             self._sink.check()
-            self._topics.depth(name, image, timestamp_ns if log_time_ns is None else log_time_ns, clock)
+            self._topics.depth(name, image, log_time_ns, clock)
+            self._latest_ns = max(self._latest_ns, log_time_ns)
             self._sink.flush()
             self.frames[name] += 1
 
@@ -340,8 +345,14 @@ class McapWriter:
             self._sink.flush()
 
     def close(self) -> None:
-        """Finish the file."""
+        """Finish the file. It ends with the calibrations once more: without any, no frame is of use."""
         with self._lock:
+            if not self._closed:
+                self._closed = True
+                with contextlib.suppress(InputError):  # what could not be written was told when frames were
+                    self._sink.check()
+                    self._topics.describe(self._latest_ns)
+                    self._sink.flush()
             self._sink.close()
 
     def __enter__(self) -> McapWriter:

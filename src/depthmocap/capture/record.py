@@ -25,6 +25,7 @@ from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, load_rig
 
 _LOOK_S = 0.2
+_RECORDING, _ENDED = "recording", "at its end"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +34,7 @@ class RecordSettings:
 
     Attributes:
         sources: cameras such as realsense:SERIAL or left=azure:SERIAL, recordings, or synthetic.
-        out: the new MCAP file.
+        out: the new MCAP file (.mcap).
         rig: a rig.json that tells where the cameras stand; without it they stand at the origin (recordings know).
         seconds: stop after so long.
         coding: of the depth; png and raw are larger, but other viewers show them.
@@ -55,7 +56,7 @@ class _Count:
     frames: int = 0
     lost: int = 0
     last: int | None = None
-    state: str = "recording"
+    state: str = _RECORDING
 
     def add(self, number: int | None) -> None:
         """Count a frame, and those that its number says were lost before it."""
@@ -69,14 +70,16 @@ def record(settings: RecordSettings, console: Console | None = None) -> dict[str
     """Record; returns frames and losses by camera. A camera that fails is told, and the others go on.
 
     Raises:
-        InputError: when no source can be opened as the rig says, or the file cannot be written any further (every
-            frame before is in it).
+        InputError: when no source can be opened as the rig says, no frame came, or the file cannot be written any
+            further (every frame before is in it).
     """
     console = console or Console(stderr=True)
     if not settings.sources:
         raise InputError("name at least one camera: depthmocap cameras lists them")
     if settings.seconds is not None and not settings.seconds > 0:
         raise InputError(f"--seconds must be positive, got {settings.seconds}")
+    if settings.out.suffix.lower() != ".mcap":  # by which every command knows a recording that is a file
+        raise InputError(f"--out must end in .mcap, got {settings.out}")
     rig = load_rig(settings.rig) if settings.rig else None
     sources = make_sources(settings.sources, Pace(1.0 if settings.realtime else 0.0))
     with contextlib.ExitStack() as stack:
@@ -130,7 +133,7 @@ def _record(sources: list[DepthSource], writer: McapWriter, seconds: float | Non
                 count.state = str(error)
                 return
             if frame is None:
-                count.state = "at its end"
+                count.state = _ENDED
                 return
             try:
                 recorder.write(frame)
@@ -167,6 +170,10 @@ def _record(sources: list[DepthSource], writer: McapWriter, seconds: float | Non
             live.update(_table(counts, time.monotonic() - start))
     if fault:
         raise fault[0]
+    if not any(writer.frames.values()):
+        raise InputError(
+            f"no frame came in {time.monotonic() - start:.1f} s: {_why_none(counts)}; {writer.path} holds no frame"
+        )
     console.print(f"{sum(writer.frames.values())} frames are in {writer.path}", markup=False, highlight=False)
     return {
         "seconds": time.monotonic() - start,
@@ -174,6 +181,13 @@ def _record(sources: list[DepthSource], writer: McapWriter, seconds: float | Non
         "lost": {name: count.lost for name, count in counts.items()},
         "states": {name: count.state for name, count in counts.items()},
     }
+
+
+def _why_none(counts: dict[str, _Count]) -> str:
+    """What is known of cameras that gave no frame for the file."""
+    told = [count.state for count in counts.values() if count.state not in (_RECORDING, _ENDED)]
+    told += [f"{count.lost} of {name!r} did not fit and were left out" for name, count in counts.items() if count.lost]
+    return "; ".join(told) or "are the cameras running?"
 
 
 def _table(counts: dict[str, _Count], seconds: float) -> Table:

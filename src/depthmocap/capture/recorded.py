@@ -97,8 +97,12 @@ class SyntheticScene:
 
     def __init__(self, seed: int = 0, sets: int | None = None) -> None:
         """``sets``: end after so many; by default the motion's length."""
+        from depthmocap.body.model import BodyModel
         from depthmocap.synth.demo import SETS, demo_frames, demo_rig
 
+        # Here, and not when a camera's thread asks for the first frame: torch, which it imports, must not be seen half
+        # imported by another thread.
+        BodyModel.load()
         self.rig: Rig = demo_rig()
         self._sets: Iterator[tuple[dict[str, int], FrameSet]] = demo_frames(seed, SETS if sets is None else sets)
         self._ahead: dict[str, collections.deque[tuple[int, UInt16[ndarray, "_ _"]]]] = {

@@ -24,7 +24,7 @@ from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.capture.source import place
-from depthmocap.capture.stamps import check_clocks, fill_gaps, frame_period_ns, group_stamps
+from depthmocap.capture.stamps import check_clocks, check_unit, fill_gaps, frame_period_ns, group_stamps
 from depthmocap.errors import InputError
 from depthmocap.export.csv import read_csv
 from depthmocap.frames import FrameSet, View
@@ -133,9 +133,10 @@ class Recording:
             if name not in stamps:
                 self._note(f"{path / name}: no frames; the recording goes on without camera {name!r}")
         self.period_ns: int = frame_period_ns(stamps)
+        check_unit(path, self.period_ns)
         check_clocks(path, stamps, self.period_ns)
-        for name, own in stamps.items():  # a fault in the first frame is one of configuration, not a lost frame
-            self.raw(name, own[0])
+        for name, own in stamps.items():
+            self._check_first(name, own)
         self._backgrounds = {name: self._read_background(name) for name in self.rig.names}
         self._sets, gaps = fill_gaps(group_stamps(stamps, self.period_ns), self.period_ns)
         for gap in gaps:
@@ -172,6 +173,10 @@ class Recording:
         kept = (place(camera, rig) for camera in self.rig.cameras if camera.name in rig.names)
         self.rig = Rig(tuple(kept), rig.up)
         self._stamps = {name: self._stamps[name] for name in self.rig.names}
+
+    def _check_first(self, name: str, stamps: list[int]) -> None:
+        """A fault in the first frame is one of configuration, and no lost frame."""
+        self.raw(name, stamps[0])
 
     def stamps(self, name: str) -> list[int]:
         """The timestamps (ns) of a camera's frames in order, on the clock that all cameras share."""

@@ -29,7 +29,7 @@ class ReplaySettings:
         recording: a recording folder or an MCAP file.
         speed: times its own speed.
         host: address to serve on; 0.0.0.0 lets other machines watch.
-        port: of the server.
+        port: of the server; 0 takes any that is free.
         loop: play it again and again, until Ctrl-C.
     """
 
@@ -66,11 +66,13 @@ def replay(settings: ReplaySettings, console: Console | None = None) -> int:
     """Serve the recording; returns the frames of the last round.
 
     Raises:
-        InputError: when it is no recording, the port is taken, or the speed is not positive.
+        InputError: when it is no recording, the port is taken or none, or the speed is not positive.
     """
     console = console or Console(stderr=True)
     if not settings.speed > 0:
         raise InputError(f"--speed must be positive, got {settings.speed}")
+    if not 0 <= settings.port <= 65535:
+        raise InputError(f"--port must be from 0 to 65535, got {settings.port}")
     recording = open_recording(settings.recording)
     sdk = load_sdk()
     context = sdk.Context()

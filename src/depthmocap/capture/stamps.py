@@ -11,6 +11,8 @@ import numpy as np
 from depthmocap.errors import InputError
 
 DEFAULT_PERIOD_NS = 33_333_333
+#: Ten thousand frames a second: no depth camera has a tenth of it.
+SHORTEST_PERIOD_NS = 100_000
 #: A gap longer than this is a pause of the recording, not lost frames: it is reported and not filled.
 LONGEST_FILLED_GAP_NS = 10_000_000_000
 
@@ -32,6 +34,19 @@ def frame_period_ns(stamps: Mapping[str, Sequence[int]]) -> int:
     most = max(map(len, stamps.values()), default=0)
     trusted = [np.diff(np.array(s, np.int64)) for s in stamps.values() if len(s) > 1 and 10 * len(s) >= most]
     return min((max(1, int(np.median(intervals))) for intervals in trusted), default=DEFAULT_PERIOD_NS)
+
+
+def check_unit(path: Path, period_ns: int) -> None:
+    """No depth camera is that fast: stamps are counts of frames or in another unit.
+
+    Raises:
+        InputError: when frames follow each other too soon.
+    """
+    if period_ns < SHORTEST_PERIOD_NS:
+        raise InputError(
+            f"{path}: its frames are {period_ns} ns apart, {1e9 / period_ns:,.0f} a second: timestamps must be in "
+            "nanoseconds (milliseconds × 1000000), of one clock, and no counts of frames"
+        )
 
 
 def group_stamps(stamps: Mapping[str, Sequence[int]], period_ns: int) -> list[StampSet]:

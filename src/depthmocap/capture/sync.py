@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import math
 import statistics
 from collections.abc import Mapping
 
@@ -125,12 +126,13 @@ class Synchroniser:
         """
         self.settings = settings or SyncSettings()
         s = self.settings
-        if not (
-            s.rate_hz > 0 and s.wait_ms >= 0 and s.lost_after_s > 0 and (s.max_skew_ms is None or s.max_skew_ms > 0)
-        ):
-            raise InputError(
-                f"rate_hz, lost_after_s and max_skew_ms must be positive and wait_ms not negative, got {s}"
-            )
+        if not 0 < s.rate_hz < math.inf:
+            raise InputError(f"rate_hz must be finite and above 0, got {s.rate_hz}")
+        for name in ("lost_after_s", "max_skew_ms"):
+            if (value := getattr(s, name)) is not None and not value > 0:
+                raise InputError(f"{name} must be above 0, got {value}")
+        if not 0 <= s.wait_ms < math.inf:
+            raise InputError(f"wait_ms must be finite and at least 0, got {s.wait_ms}")
         self._nominal_ns = self._period_ns = 1e9 / s.rate_hz
         self._cameras: dict[str, _Camera] = {}
         self._clocks: dict[str, ClockTracker] = {}

@@ -12,6 +12,7 @@ Everything returned is in this project's conventions: metres, a Z-up world, came
 from __future__ import annotations
 
 import dataclasses
+import logging
 import operator
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -29,6 +30,8 @@ from depthmocap.datasets.ubc3v_camera import KINECT2, camera_pose, kinect2_camer
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry.transforms import z_up_from
+
+_LOG = logging.getLogger(__name__)
 
 __all__ = [
     "CAMERAS",
@@ -236,7 +239,8 @@ def _read_png(path: Path) -> UInt8[ndarray, "h w 4"]:
 class Section:
     """One section as a :class:`~depthmocap.frames.FrameSource`; images are read when a frame is asked for.
 
-    A view is absent where its depth image is missing or the file gives it no (finite) pose. Its mask is the alpha
+    A view is absent where its depth image is missing, one of its images is damaged (a line in ``problems``), or the
+    file gives it no (finite) pose. Its mask is the alpha
     of the groundtruth image, or of the depth image where there is no groundtruth image; ``labels`` are then None.
 
     Args:
@@ -245,7 +249,7 @@ class Section:
         ray_table: the toolkit's ``mapper.mat``; without it, rays are those of a pinhole fitted to that table.
 
     Raises:
-        InputError: when a file is missing or malformed; images are checked as they are read.
+        InputError: when groundtruth.mat is missing or malformed, or there are no images.
     """
 
     up: str = "z"
@@ -253,6 +257,7 @@ class Section:
     def __init__(self, path: Path, cameras: Sequence[str] = CAMERAS, ray_table: Path | None = None) -> None:
         self.path = Path(path)
         self.cameras = tuple(cameras)
+        self._problems: dict[str, None] = {}  # an ordered set: reading a frame twice reports it once
         self._truth = read_ground_truth(self.path / "groundtruth.mat")
         if not any(name in self._truth.cameras for name in self.cameras):
             raise InputError(
@@ -263,6 +268,11 @@ class Section:
         if not any((folder / name).is_dir() for name in self.cameras):
             raise InputError(f"{folder} has no folder {', '.join(self.cameras)}; unpack the depth images there")
         self._camera = KINECT2 if ray_table is None else load_ray_table(ray_table)
+
+    @property
+    def problems(self) -> list[str]:
+        """What was wrong with the images that were read so far, one line each."""
+        return list(self._problems)
 
     def __len__(self) -> int:
         return len(self._truth.joints_cm)
@@ -275,7 +285,6 @@ class Section:
 
         Raises:
             IndexError: past the end.
-            InputError: for a damaged image.
         """
         i = range(len(self))[operator.index(index)]
         joints = self._truth.joints_cm[i] @ z_up_from("y").T / 100
@@ -290,10 +299,14 @@ class Section:
         if not np.isfinite([translate, rotate]).all():
             return None
         camera = dataclasses.replace(self._camera, name=name, world_from_camera=camera_pose(translate, rotate))
-        depth_m, mask = decode_depth(_read_png(depth_path))
-        if not labels_path.exists():
-            return View(camera, depth_m, mask)
-        labels = decode_labels(_read_png(labels_path))
+        try:
+            depth_m, mask = decode_depth(_read_png(depth_path))
+            if not labels_path.exists():
+                return View(camera, depth_m, mask)
+            labels = decode_labels(_read_png(labels_path))
+        except InputError as error:
+            self._problems[str(error)] = None
+            return None
         return View(camera, depth_m, labels > 0, labels)
 
 
@@ -323,9 +336,15 @@ def sections(root: Path, subset: str, split: str) -> list[Path]:
 
 
 def iterate(
-    root: Path, subset: str, split: str, limit: int | None = None, ray_table: Path | None = None
+    root: Path,
+    subset: str,
+    split: str,
+    limit: int | None = None,
+    ray_table: Path | None = None,
+    problems: list[str] | None = None,
 ) -> Iterator[FrameSet]:
-    """Frames of a split, section after section, at most ``limit``. Timestamps start anew in every section.
+    """Frames of a split, section after section, at most ``limit``. Timestamps start anew in every section. What was
+    wrong with images is logged, and appended to ``problems``.
 
     Raises:
         InputError: as :func:`sections` and :class:`Section`.
@@ -334,5 +353,9 @@ def iterate(
         section = Section(path, ray_table=ray_table)
         count = len(section) if limit is None else min(limit, len(section))
         yield from (section[i] for i in range(count))
+        for problem in section.problems:
+            _LOG.warning("left out: %s", problem)
+        if problems is not None:
+            problems += section.problems
         if limit is not None and (limit := limit - count) <= 0:
             return

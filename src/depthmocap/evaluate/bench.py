@@ -17,7 +17,7 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.cores import usable_cores
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import Outputs, about, write_outputs
-from depthmocap.evaluate.synthetic import Labels, measure, print_numbers
+from depthmocap.evaluate.synthetic import Labels, check_views, measure, print_numbers
 from depthmocap.frames import FrameSet
 from depthmocap.geometry import DepthCamera
 from depthmocap.pose.estimate import load_estimator
@@ -80,9 +80,11 @@ def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) ->
     """Make and measure the sets; returns their numbers by name. Samples are independent, nothing is smoothed.
 
     Raises:
-        InputError: a set that does not exist, or clips, weights or regressors that cannot be read.
+        InputError: a set that does not exist, a number out of range, or clips, weights or regressors that cannot be
+            read.
     """
     check_seed(settings.seed)
+    check_views(settings.views)
     console = console or Console(stderr=True)
     if not (0 <= settings.misplaced_mm < np.inf and 0 <= settings.misplaced_deg <= 180):
         raise InputError("--misplaced-mm must be at least 0 and --misplaced-deg from 0 to 180")
@@ -95,7 +97,7 @@ def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) ->
     clips = source.names if isinstance(source, ClipPostures) else []  # none: postures are of the prior
     numbers: dict[str, Any] = {}
     for name in settings.sets:
-        recipe = dataclasses.replace(BENCH[name], postures=settings.postures, views=max(settings.views, 1))
+        recipe = dataclasses.replace(BENCH[name], postures=settings.postures, views=settings.views)
         with Progress(console=console) as progress:
             frames = progress.track(_frames(recipe, settings), settings.samples, description=name)
             found = measure(frames, settings.views, estimator, classifier)

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from depthmocap.body.regions import REGION_NAMES, UNLABELLED
 from depthmocap.classify.runtime import Classifier
+from depthmocap.errors import InputError
 from depthmocap.evaluate.protocol import joint_numbers
 from depthmocap.frames import FrameSet, View
 from depthmocap.pose.cloud import LabelledView, merge_views
@@ -35,6 +36,12 @@ def _network_labels(classifier: Classifier, views: list[View], accuracy: PixelAc
         accuracy.add(truth[inside], found.in_window.labels[inside])
 
 
+def check_views(views: int) -> None:
+    """Raise InputError unless so many views can be looked at together."""
+    if views < 1:
+        raise InputError(f"--views must be at least 1, got {views}")
+
+
 def measure(
     frames: Iterable[FrameSet], views: int, estimator: JointEstimator, classifier: Classifier | None
 ) -> dict[str, Any] | None:
@@ -44,19 +51,24 @@ def measure(
     (true labels go to the pose stage, its floor) at the picture's own resolution.
 
     Args:
-        views: 1 evaluates every camera alone and averages, 2 every pair, and so on.
+        views: 1 evaluates every camera alone and averages, 2 every pair, and so on. A sample that lacks some of them
+            is evaluated with those it has.
+
+    Raises:
+        InputError: when no sample has so many views.
     """
     window_accuracy, image_accuracy = PixelAccuracy(), PixelAccuracy()
     estimates: list[ndarray] = []
     truths: list[ndarray] = []
     confidences: list[ndarray] = []
     spent_ms: list[float] = []
-    samples = 0
+    samples = most = 0
     for frame in frames:
         samples += 1
         seen = [view for view in frame.views if view.mask is not None and view.labels is not None]
         if not seen or frame.true_joints is None:
             continue
+        most = max(most, len(seen))
         start = time.perf_counter()
         parts: list[LabelledView]
         if classifier is None:
@@ -76,6 +88,8 @@ def measure(
                 image_accuracy.add(view.labels[view.mask], labels[view.mask])
     if not estimates:
         return None
+    if most < views:
+        raise InputError(f"no sample has {views} views: the data have labels of {most} cameras")
     pixels = image_accuracy if classifier is None else window_accuracy
     found, true = np.stack(estimates), np.stack(truths)
     calibration = reliability(np.stack(confidences).astype(np.float64), joint_errors_cm(found, true))

@@ -11,10 +11,10 @@ from rich.console import Console
 from rich.progress import Progress
 
 from depthmocap.classify.runtime import Classifier
-from depthmocap.datasets.ubc3v import iterate, sections
+from depthmocap.datasets.ubc3v import CAMERAS, image_paths, iterate, sections
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import Outputs, about, write_outputs
-from depthmocap.evaluate.synthetic import Labels, measure, print_numbers
+from depthmocap.evaluate.synthetic import Labels, check_views, measure, print_numbers
 from depthmocap.pose.estimate import load_estimator
 
 
@@ -45,21 +45,35 @@ def evaluate_ubc3v(settings: Ubc3vEvaluation, console: Console | None = None) ->
     """Run the evaluation and return its numbers; samples are independent, nothing is smoothed.
 
     Raises:
-        InputError: when the data or the weights cannot be read, or hold no labels.
+        InputError: when the data or the weights cannot be read, hold no labels, or have fewer cameras than ``views``.
     """
+    check_views(settings.views)
+    if settings.limit is not None and settings.limit < 1:
+        raise InputError(f"--limit must be at least 1, got {settings.limit}")
     console = console or Console(stderr=True)
-    total = sum(1 for _ in sections(settings.root, settings.subset, settings.split))
+    paths = sections(settings.root, settings.subset, settings.split)
+    # By the folders alone, so that nobody waits for hours to be told; of none, the reader tells more.
+    cameras = max(sum(image_paths(path, name, 0)[0].parent.is_dir() for name in CAMERAS) for path in paths)
+    if 0 < cameras < settings.views:
+        raise InputError(f"--views must be at most {cameras}, the cameras of {settings.root}, got {settings.views}")
     classifier = Classifier(settings.weights) if settings.labels == "network" else None
     estimator = load_estimator(settings.estimator, settings.labels)
-    frames = iterate(settings.root, settings.subset, settings.split, settings.limit)
+    problems: list[str] = []
+    frames = iterate(settings.root, settings.subset, settings.split, settings.limit, problems=problems)
     with Progress(console=console) as progress:
-        title = f"{settings.subset}/{settings.split} ({total} sections)"
+        title = f"{settings.subset}/{settings.split} ({len(paths)} sections)"
         found = measure(
             progress.track(frames, settings.limit, description=title), settings.views, estimator, classifier
         )
     if found is None:
         raise InputError(f"{settings.root}: no sample of {settings.subset}/{settings.split} has labels and joints")
-    numbers = {"data": str(settings.root), "subset": settings.subset, "split": settings.split, **found}
+    numbers = {
+        "data": str(settings.root),
+        "subset": settings.subset,
+        "split": settings.split,
+        **found,
+        "problems": problems,
+    }
     name = f"{settings.subset}/{settings.split}"
     write_outputs(settings, f"UBC3V, {name}", {name: {"about": about(settings), **numbers}}, numbers)
     print_numbers(name, numbers, console)

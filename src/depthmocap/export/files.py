@@ -49,6 +49,8 @@ class PoseFiles:
     def write(self, pose: Pose) -> None:
         """Append a pose; one that is not later than the last is not written."""
         if self._last_ns is None or pose.timestamp_ns > self._last_ns:
+            if self._last_ns is None:
+                self.summary["first_timestamp_ns"] = pose.timestamp_ns
             self._csv.write(pose)
             self._last_ns = pose.timestamp_ns
 

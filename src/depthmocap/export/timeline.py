@@ -71,8 +71,12 @@ def even_frames(line: Timeline) -> tuple[Int[ndarray, " n"], Bool[ndarray, " n"]
     """
     count = int(np.rint(line.times_s[-1] / line.frame_s)) + 1
     if count > 20 * len(line.times_s) + 1000:
-        longest_s = np.diff(line.times_s).max()
-        raise InputError(f"the recording pauses for up to {longest_s:.0f} s: export its parts one by one")
+        after = int(np.diff(line.times_s).argmax())
+        longest_s = line.times_s[after + 1] - line.times_s[after]
+        raise InputError(
+            f"the recording pauses for {longest_s:.0f} s after frame {after} (from 0), which evenly spaced frames "
+            "would fill with copies of it: record its parts one by one, or take out what does not belong to it"
+        )
     frame_times_s = np.arange(count) * line.frame_s
     half_s = 0.5 * line.frame_s
     source = np.searchsorted(line.times_s, frame_times_s + half_s, side="right") - 1

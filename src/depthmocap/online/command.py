@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import math
 import threading
 import time
 from pathlib import Path
@@ -41,7 +42,7 @@ class LiveSettings:
         sources: cameras such as realsense:SERIAL or left=azure:SERIAL, recordings, or synthetic.
         rig: a rig.json that tells where the cameras stand; recordings know.
         out: folder for pose.csv, pose.trc, pose.bvh and summary.json.
-        record: a new MCAP file for every frame as it came.
+        record: a new MCAP file (.mcap) for every frame as it came.
         realtime: play a recording at its own speed, as if it were cameras; otherwise as fast as the machine can, and
             no set is left out.
         seconds: stop after so long.
@@ -75,13 +76,20 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str
     """Run until the end, ``seconds`` or Ctrl-C, write everything, and return the summary.
 
     Raises:
-        InputError: when a source is not what it says, no camera can be opened, or no set came at all.
+        InputError: when a setting is out of range, a source is not what it says, no camera can be opened, or no set
+            came at all.
     """
     console = console or Console(stderr=True)
     if not settings.sources:
         raise InputError("name at least one camera or recording: depthmocap cameras lists cameras")
     if settings.seconds is not None and not settings.seconds > 0:
         raise InputError(f"--seconds must be positive, got {settings.seconds}")
+    if settings.rate_hz is not None and not 0 < settings.rate_hz < math.inf:
+        raise InputError(f"--rate-hz must be finite and above 0, got {settings.rate_hz}")
+    if not 0 <= settings.wait_ms < math.inf:
+        raise InputError(f"--wait-ms must be finite and at least 0, got {settings.wait_ms}")
+    if settings.record is not None and settings.record.suffix.lower() != ".mcap":
+        raise InputError(f"--record must end in .mcap, got {settings.record}")
     with contextlib.ExitStack() as stack:
         capture = stack.enter_context(_capture(settings, console))
         if settings.record is not None:
@@ -90,6 +98,7 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str
             cameras = capture.gatherer.cameras
             writer = McapWriter(settings.record, Rig(tuple(cameras.values()), capture.up), capture.raw_backgrounds())
             capture.gatherer.recorder = McapRecorder(stack.enter_context(writer), cameras)
+            stack.callback(capture.stop)  # before the file is closed, into which cameras write
         files = stack.enter_context(PoseFiles(settings.out, capture.up)) if settings.out else None
         everybody = None
         if settings.out is not None and settings.people > 1:

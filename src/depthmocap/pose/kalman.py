@@ -55,13 +55,14 @@ class KalmanSettings:
     bridge_s: float = 0.0
 
     def __post_init__(self) -> None:
-        positive = (self.still_mps, self.memory_s, self.sure_m, self.unsure_m, self.outlier)
-        if not (min(positive) > 0 and min(self.agility, self.restart_s, self.bridge_s) >= 0):
-            raise InputError(
-                f"Kalman filter: values must be above 0; agility, restart and bridge at least 0; got {self}"
-            )
-        if self.bridge_s > FORGET_S:
-            raise InputError(f"gaps are bridged for {FORGET_S} s at most, not {self.bridge_s} s")
+        for name in ("still_mps", "memory_s", "sure_m", "unsure_m", "outlier"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"Kalman filter: {name} must be above 0, got {getattr(self, name)}")
+        for name in ("agility", "restart_s"):
+            if not getattr(self, name) >= 0:
+                raise InputError(f"Kalman filter: {name} must be at least 0, got {getattr(self, name)}")
+        if not 0 <= self.bridge_s <= FORGET_S:
+            raise InputError(f"--bridge-s must be from 0 to {FORGET_S}, got {self.bridge_s}")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
