@@ -131,7 +131,10 @@ def label_image(settings: LabelSettings) -> UInt8[ndarray, "h w"]:
     view = View(_camera(settings, depth.shape), depth)
     ((labels, _, _),) = classifier.label_views([view], [person])
     if not labels.any():
-        raise InputError(f"{settings.depth}: no person found; {np.count_nonzero(person)} pixels have valid depth")
+        raise InputError(
+            f"{settings.depth}: no person found; {np.count_nonzero(person)} pixels have valid depth: where they show more "
+            "than a person, give the person's with --mask"
+        )
     _write(settings.out, labels)
     if (preview := _preview_path(settings)) is not None:
         from depthmocap.report.pictures import colour_labels
