@@ -132,8 +132,8 @@ def label_image(settings: LabelSettings) -> UInt8[ndarray, "h w"]:
     ((labels, _, _),) = classifier.label_views([view], [person])
     if not labels.any():
         raise InputError(
-            f"{settings.depth}: no person found; {np.count_nonzero(person)} pixels have valid depth: where they show more "
-            "than a person, give the person's with --mask"
+            f"{settings.depth}: no person found; {np.count_nonzero(person)} pixels have valid depth: where they show "
+            "more than a person, give the person's with --mask"
         )
     _write(settings.out, labels)
     if (preview := _preview_path(settings)) is not None:
