@@ -178,6 +178,7 @@ def _follow(
         "seconds": time.monotonic() - begun,
         "interrupted": interrupted,
         "sets_dropped": capture.dropped,
+        "sets_before_ready": capture.before_ready,
         **capture.books.summary(),
         "smoothing": capture.pipeline.smoothing.describe() if capture.pipeline and capture.pipeline.smoothing else None,
         "cameras": {status.name: dataclasses.asdict(status) for status in statuses},
@@ -192,7 +193,8 @@ def _tell(summary: dict[str, Any], settings: LiveSettings, console: Console) -> 
     rate = summary["poses"] / max(summary["seconds"], 1e-9)
     latency, dropped = summary["latency_ms"], summary["sets_dropped"]
     console.print(
-        f"{summary['poses']} poses in {summary['seconds']:.1f} s ({rate:.1f} a second), {dropped} sets dropped; "
+        f"{summary['poses']} poses in {summary['seconds']:.1f} s ({rate:.1f} a second), {dropped} sets dropped, "
+        f"{summary['sets_before_ready']} before it was ready; "
         f"latency {latency['p50']:.0f} ms (p95 {latency['p95']:.0f} ms)"
     )
     for problem, times in summary["problems"].items():

@@ -85,6 +85,8 @@ class LiveCapture:
         self._sources, self._pipeline, self._make_pipeline = list(sources), pipeline, make_pipeline
         self.gatherer = Gatherer(sources, rig, sync, measure_rate)
         self.books = Books()
+        #: Sets that came while the pipeline was made ready, and have no pose.
+        self.before_ready = 0
         self.up = rig.up if rig else (sources[0].up if sources else "z")
 
     @property
@@ -138,7 +140,7 @@ class LiveCapture:
         for synced in sets:
             if self._pipeline is None:
                 self._pipeline = self._begin(frame_set(synced, self.gatherer.cameras))
-                self.gatherer.dropped = 0
+                self.before_ready, self.gatherer.dropped = self.gatherer.dropped + 1, 0
                 continue
             result = self._pipeline(frame_set(synced, self.gatherer.cameras))
             last_ns = max(frame.arrival_ns for frame in synced.frames.values())
@@ -166,7 +168,7 @@ class Replay:
     It is used like a :class:`LiveCapture`. The latency is that of the pipeline.
     """
 
-    dropped = 0
+    dropped = before_ready = 0
 
     def __init__(
         self,
