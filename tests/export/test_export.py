@@ -272,7 +272,7 @@ def test_bvh_of_irregular_timestamps(tmp_path: Path) -> None:
     assert held == [4, 5]
     np.testing.assert_allclose(times_s[-1], 13 * FRAME_NS * 1e-9, atol=1e-6)
     np.testing.assert_allclose(read, joints[[0, 1, 2, 3, 3, 3, 4, 5, 6, 7, 8, 9, 10, 11]], atol=1e-3)
-    with pytest.raises(InputError, match="pauses for up to 36"):
+    with pytest.raises(InputError, match=r"pauses for 36\d\d s after frame 2"):
         write_bvh(tmp_path / "b.bvh", as_poses(joints[:4], np.array([0, 1, 2, 3602]) * 10**9 // 30 * 30), "z")
 
 
