@@ -241,3 +241,13 @@ def test_nobody_in_range(body_model: BodyModel) -> None:
     far = Recipe(views=1, sensors=("azure-wfov",), noise="sensor", cameras=CameraRange(distance_m=(30.0, 31.0)))
     with pytest.raises(InputError, match="sample 2: no camera sees the person in 20 tries"):
         Sampler(far, 0)(2)
+
+
+def test_everybody_sits_or_touches_themselves_however_varied_they_are() -> None:
+    """No posture stays as recorded where all shall do something else."""
+    postures = Sampler(Recipe("open", vary=True, seated=True, hands_on_body=True), 0)._postures
+    assert isinstance(postures, PosturePrior)
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        one = postures.variation.of_one(rng)
+        assert (one.sit, one.touch) == (1.0, 1.0)

@@ -221,9 +221,9 @@ class Sampler:
         self.recipe, self.seed = recipe, seed
         variation = TRAINING_VARIATION if recipe.vary else Variation(mirror=0.5)
         if recipe.seated:
-            variation = dataclasses.replace(variation, sit=1.0)
+            variation = dataclasses.replace(variation, sit=1.0, as_recorded=0.0)
         if recipe.hands_on_body:
-            variation = dataclasses.replace(variation, touch=1.0)
+            variation = dataclasses.replace(variation, touch=1.0, as_recorded=0.0)
         self._postures = posture_source(recipe.postures, recipe.split, recipe.subset == "easy", variation)
 
     def __call__(self, index: int) -> Sample:
