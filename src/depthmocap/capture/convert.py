@@ -18,7 +18,7 @@ from depthmocap.capture.depth_codec import Coding
 from depthmocap.capture.mcap_file import McapFile
 from depthmocap.capture.mcap_messages import COMPRESSED_IMAGE, RAW_IMAGE
 from depthmocap.capture.mcap_recording import McapRecording
-from depthmocap.capture.mcap_writer import McapSink, McapWriter
+from depthmocap.capture.mcap_writer import McapSink, McapWriter, check_name
 from depthmocap.capture.open import open_recording
 from depthmocap.capture.recording import Recording, RecordingWriter
 from depthmocap.errors import InputError
@@ -118,8 +118,7 @@ def recover(settings: RecoverSettings, console: Console | None = None) -> dict[s
         InputError: when nothing is in the file, or the new one exists, cannot be written, or is not named as MCAP.
     """
     console = console or Console(stderr=True)
-    if settings.out.suffix.lower() != ".mcap":
-        raise InputError(f"the new file must end in .mcap, got {settings.out}")
+    check_name("the new file", settings.out)
     frames = damaged = 0
     with McapFile(settings.source) as file:
         if not file.messages:

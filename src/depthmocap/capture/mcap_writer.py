@@ -68,6 +68,12 @@ def load_sdk() -> Any:
     return foxglove
 
 
+def check_name(what: str, path: Path) -> None:
+    """Raise InputError unless the path ends in .mcap, by which every command knows a recording that is a file."""
+    if path.suffix.lower() != ".mcap":
+        raise InputError(f"{what} must end in .mcap, got {path}")
+
+
 class _SystemFile:
     """What the SDK writes to: no buffers, and nothing after the first fault, so that the file ends with a whole record.
 

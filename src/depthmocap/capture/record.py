@@ -16,7 +16,7 @@ from rich.table import Table
 
 from depthmocap.capture.cameras import make_sources
 from depthmocap.capture.depth_codec import Coding
-from depthmocap.capture.mcap_writer import McapWriter
+from depthmocap.capture.mcap_writer import McapWriter, check_name
 from depthmocap.capture.recorded import Pace
 from depthmocap.capture.recorder import McapRecorder
 from depthmocap.capture.recording import UnfitFrameError
@@ -78,8 +78,7 @@ def record(settings: RecordSettings, console: Console | None = None) -> dict[str
         raise InputError("name at least one camera: depthmocap cameras lists them")
     if settings.seconds is not None and not settings.seconds > 0:
         raise InputError(f"--seconds must be positive, got {settings.seconds}")
-    if settings.out.suffix.lower() != ".mcap":  # by which every command knows a recording that is a file
-        raise InputError(f"--out must end in .mcap, got {settings.out}")
+    check_name("--out", settings.out)
     rig = load_rig(settings.rig) if settings.rig else None
     sources = make_sources(settings.sources, Pace(1.0 if settings.realtime else 0.0))
     with contextlib.ExitStack() as stack:

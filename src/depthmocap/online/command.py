@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.live import Live
 
 from depthmocap.capture.cameras import make_sources
-from depthmocap.capture.mcap_writer import McapWriter
+from depthmocap.capture.mcap_writer import McapWriter, check_name
 from depthmocap.capture.open import open_recording
 from depthmocap.capture.recorded import Pace
 from depthmocap.capture.recorder import McapRecorder
@@ -88,8 +88,8 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str
         raise InputError(f"--rate-hz must be finite and above 0, got {settings.rate_hz}")
     if not 0 <= settings.wait_ms < math.inf:
         raise InputError(f"--wait-ms must be finite and at least 0, got {settings.wait_ms}")
-    if settings.record is not None and settings.record.suffix.lower() != ".mcap":
-        raise InputError(f"--record must end in .mcap, got {settings.record}")
+    if settings.record is not None:
+        check_name("--record", settings.record)
     with contextlib.ExitStack() as stack:
         capture = stack.enter_context(_capture(settings, console))
         if settings.record is not None:
