@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt16
 from numpy import ndarray
 
 from depthmocap.geometry import DepthCamera, look_at
@@ -28,6 +28,12 @@ def make_camera(name: str = "cam0", width: int = 256, height: int = 212, x: floa
     focal = 366.0 * width / 512
     pose = look_at(np.array([x, -3.0, 1.3]), np.array([0.0, 0.0, 0.9]))
     return DepthCamera(name, width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, pose)
+
+
+def bands(size: tuple[int, int], rng: np.random.Generator) -> UInt16[ndarray, "h w"]:
+    """Raw depth of every value that there is, rough, and yet not noise: rows at distances of their own."""
+    rows = rng.integers(0, 2**16 - 100, (size[0], 1))
+    return (rows + rng.integers(0, 101, size)).astype(np.uint16)
 
 
 def render(

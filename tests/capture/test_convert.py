@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from depth_scene import bands
 from rich.console import Console
 
 pytest.importorskip("foxglove")
@@ -37,7 +38,7 @@ def folder(tmp_path: Path) -> Path:
     )
 
     def frame(camera: DepthCamera) -> np.ndarray:
-        return rng.integers(0, 65535, (camera.height, camera.width)).astype(np.uint16)
+        return bands((camera.height, camera.width), rng)
 
     with RecordingWriter(tmp_path / "folder", Rig(cameras, "-y"), {"b": frame(cameras[1])}) as writer:
         for i in range(6):

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from depth_scene import bands
 
 pytest.importorskip("foxglove")
 pytest.importorskip("zstandard")
@@ -38,7 +39,7 @@ def make_rig() -> Rig:
 
 
 def make_frame(camera: DepthCamera, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).integers(0, 65536, (camera.height, camera.width)).astype(np.uint16)
+    return bands((camera.height, camera.width), np.random.default_rng(seed))
 
 
 def write(path: Path, count: int = 5, coding: Coding = "delta-zstd", **options) -> Rig:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from depth_scene import bands
 from mkv_file import calibration, write_mkv
 from rich.console import Console
 
@@ -18,7 +19,7 @@ STAMPS = [1_000_007 + 33_333 * i for i in range(6)]
 
 
 def picture(seed: int, size: tuple[int, int] = (288, 320)) -> np.ndarray:
-    return np.random.default_rng(seed).integers(1, 65535, size).astype(np.uint16)
+    return bands(size, np.random.default_rng(seed))
 
 
 def frames(size: tuple[int, int] = (288, 320)) -> list[tuple[int, np.ndarray]]:

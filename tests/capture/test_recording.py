@@ -4,7 +4,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from depth_scene import bands
 
+from depthmocap.capture.health import EQUAL
 from depthmocap.capture.recording import Recording, RecordingWriter
 from depthmocap.capture.stamps import StampSet, fill_gaps, frame_period_ns, group_stamps
 from depthmocap.errors import InputError
@@ -30,7 +32,7 @@ def make_rig() -> Rig:
 
 
 def make_frame(camera: DepthCamera, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).integers(0, 65536, (camera.height, camera.width)).astype(np.uint16)
+    return bands((camera.height, camera.width), np.random.default_rng(seed))
 
 
 def write(path: Path, stamps: dict[str, list[int]], truth: dict[int, np.ndarray] | None = None) -> Rig:
@@ -157,6 +159,29 @@ def test_a_bad_later_frame_is_one_lost_view(folder: Path) -> None:
     assert len(recording.problems) == 5
     for path, problem in zip(bad, recording.problems, strict=True):
         assert str(path) in problem
+
+
+def test_frames_of_a_stuck_camera_are_left_out(tmp_path: Path) -> None:
+    rig, count, stuck = make_rig(), 40, range(12, 35)
+    with RecordingWriter(tmp_path / "rec", rig) as writer:
+        for i, stamp in enumerate(regular(count)):
+            frames = {camera.name: make_frame(camera, i) for camera in rig.cameras}
+            if i in stuck:
+                frames["cam1"] = make_frame(rig["cam1"], stuck[0])
+            if i in (5, 6):
+                frames["cam0"] = np.random.default_rng(i).integers(1, 60000, (24, 32)).astype(np.uint16)
+            writer.write(stamp, frames)
+    recording = Recording(tmp_path / "rec")
+    for _ in range(2):  # a second pass reports nothing twice
+        seen = [{view.camera.name for view in frames.views} for frames in recording]
+        out = range(stuck[0] + EQUAL, stuck[-1] + 1)  # as many equal ones a camera that works may deliver
+        assert [i for i, names in enumerate(seen) if "cam1" not in names] == list(out)
+        assert [i for i, names in enumerate(seen) if "cam0" not in names] == [5, 6]
+        assert all("cam2" in names for names in seen)
+    noise, repeats = recording.problems
+    assert f"{5 * PERIOD}.png: 2 frames" in noise and "noise" in noise and "cam0" in noise
+    assert f"{out[0] * PERIOD}.png: {len(out)} frames" in repeats and "repeat the picture" in repeats
+    assert len(recording[stuck[-1]].views) == 3  # out of order nothing can be told
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from jaxtyping import Float, UInt16
 from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINTS
+from depthmocap.capture.health import Fault, HealthCheck
 from depthmocap.capture.source import place
 from depthmocap.capture.stamps import check_clocks, check_unit, fill_gaps, frame_period_ns, group_stamps
 from depthmocap.errors import InputError
@@ -34,6 +35,8 @@ BACKGROUND_FILE = "background.png"
 TRUTH_FILE = "truth.csv"
 TRUTH_COLUMNS: tuple[str, ...] = tuple(f"{joint}_{axis}" for joint in JOINTS for axis in "xyz")
 SATURATED = 65535
+#: What makes frames useless that can be read, in words.
+_USELESS: dict[Fault, str] = {"frozen": "repeat the picture before", "noise": "are noise"}
 _LAYOUT = "a recording folder holds rig.json and, for each camera in it, <camera>/<timestamp in ns>.png"
 
 
@@ -104,7 +107,8 @@ class Recording:
     """A recording folder as a sequence of frame sets, read from disk as they are asked for.
 
     Frames of different cameras within half a frame period of each other form one set; instants at which no camera
-    delivered are sets without views. A bad frame is a view that is absent, and a line in ``problems``. The times of
+    delivered are sets without views. A bad frame is a view that is absent, and a line in ``problems``; read in order,
+    so are frames of a camera that was stuck (see ``capture.health``), all of them in one line. The times of
     ``truth.csv`` are the frames' timestamps in seconds, or count from the first frame when that cannot be.
 
     Attributes:
@@ -124,6 +128,7 @@ class Recording:
         """
         self.path = path
         self._problems: dict[str, None] = {}  # an ordered set: reading a frame twice reports it once
+        self._useless: dict[tuple[str, Fault], dict[int, None]] = {}  # their timestamps, so too
         self.rig, self._stamps = self._load()
         if rig is not None:
             self._place(rig)
@@ -206,7 +211,11 @@ class Recording:
     @property
     def problems(self) -> list[str]:
         """What was wrong so far, one line each; frames are checked as they are read."""
-        return list(self._problems)
+        lines = list(self._problems)
+        for (name, fault), stamps in self._useless.items():
+            many = f"{len(stamps)} frames, this one first, {_USELESS[fault]} and are left out"
+            lines.append(f"{self._where(name, str(min(stamps)))}: {many}: check camera {name!r}")
+        return lines
 
     def background(self, name: str) -> Float[ndarray, "h w"] | None:
         """Depth of the empty scene in metres (0 = invalid), if the camera has a background frame."""
@@ -216,11 +225,19 @@ class Recording:
         return len(self._sets)
 
     def __iter__(self) -> Iterator[FrameSet]:
-        return (self[i] for i in range(len(self)))
+        checks = {name: HealthCheck(self.rig[name]) for name in self.rig.names}
+        return (self._read_set(i, checks) for i in range(len(self)))
 
     def __getitem__(self, index: int) -> FrameSet:
+        return self._read_set(index, {})
+
+    def _read_set(self, index: int, checks: Mapping[str, HealthCheck]) -> FrameSet:
         stamp_set = self._sets[index]
-        views = [self._read_view(name, stamp_set.stamps[name]) for name in self.rig.names if name in stamp_set.stamps]
+        views = [
+            self._read_view(name, stamp_set.stamps[name], checks.get(name))
+            for name in self.rig.names
+            if name in stamp_set.stamps
+        ]
         return FrameSet(
             stamp_set.timestamp_ns, tuple(view for view in views if view), self._true_joints(stamp_set.timestamp_ns)
         )
@@ -228,7 +245,7 @@ class Recording:
     def _note(self, problem: str) -> None:
         self._problems[problem] = None
 
-    def _read_view(self, name: str, stamp: int) -> View | None:
+    def _read_view(self, name: str, stamp: int, check: HealthCheck | None) -> View | None:
         camera = self.rig[name]
         try:
             raw = self.raw(name, stamp)
@@ -238,6 +255,9 @@ class Recording:
         if not ((raw > 0) & (raw < SATURATED)).any():
             where = self._where(name, str(stamp))
             self._note(f"{where} has no valid depth (all 0 or {SATURATED}): was the camera covered?")
+            return None
+        if check is not None and (fault := check(raw, stamp)) in _USELESS:
+            self._useless.setdefault((name, fault), {})[stamp] = None
             return None
         return View(camera, camera.to_metres(raw))
 
