@@ -36,7 +36,11 @@ TRUTH_FILE = "truth.csv"
 TRUTH_COLUMNS: tuple[str, ...] = tuple(f"{joint}_{axis}" for joint in JOINTS for axis in "xyz")
 SATURATED = 65535
 #: What makes frames useless that can be read, in words.
-_USELESS: dict[Fault, str] = {"frozen": "repeat the picture before", "noise": "are noise"}
+_USELESS: dict[Fault, str] = {
+    "frozen": "the same picture again and again",
+    "noise": "noise in place of depth",
+    "dark": f"no valid depth (all 0 or {SATURATED}), was the camera covered?",
+}
 _LAYOUT = "a recording folder holds rig.json and, for each camera in it, <camera>/<timestamp in ns>.png"
 
 
@@ -213,8 +217,8 @@ class Recording:
         """What was wrong so far, one line each; frames are checked as they are read."""
         lines = list(self._problems)
         for (name, fault), stamps in self._useless.items():
-            many = f"{len(stamps)} frames, this one first, {_USELESS[fault]} and are left out"
-            lines.append(f"{self._where(name, str(min(stamps)))}: {many}: check camera {name!r}")
+            where = self._where(name, str(min(stamps)))
+            lines.append(f"{where}: {_USELESS[fault]} (frames of {name!r} left out from here on: {len(stamps)})")
         return lines
 
     def background(self, name: str) -> Float[ndarray, "h w"] | None:
@@ -252,11 +256,10 @@ class Recording:
         except InputError as error:
             self._note(str(error))
             return None
+        fault = check(raw, stamp) if check is not None else ""
         if not ((raw > 0) & (raw < SATURATED)).any():
-            where = self._where(name, str(stamp))
-            self._note(f"{where} has no valid depth (all 0 or {SATURATED}): was the camera covered?")
-            return None
-        if check is not None and (fault := check(raw, stamp)) in _USELESS:
+            fault = "dark"
+        if fault in _USELESS:
             self._useless.setdefault((name, fault), {})[stamp] = None
             return None
         return View(camera, camera.to_metres(raw))
