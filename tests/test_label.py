@@ -124,6 +124,12 @@ def test_lengths_are_finite_and_above_0(picture, tmp_path, name, value):
         label_image(settings(tmp_path, picture[0], **{name: value}))
 
 
+@pytest.mark.parametrize("name", ["cx", "cy"])
+def test_a_principal_point_is_finite(picture, tmp_path, name):
+    with pytest.raises(InputError, match=f"--{name} must be finite, got nan"):
+        label_image(settings(tmp_path, picture[0], **{name: np.nan}))
+
+
 @pytest.mark.parametrize(
     ("image", "message"),
     [

@@ -130,6 +130,11 @@ def test_a_long_pause_costs_the_bvh_alone(recording, tmp_path, capsys):
     assert not (tmp_path / "out" / "pose.bvh").exists()
 
 
+def test_gaps_are_not_bridged_without_a_filter(recording):
+    with pytest.raises(InputError, match="bridged by the filters"):
+        load_pipeline(recording, "none", "none", bridge_s=0.1)
+
+
 @pytest.mark.parametrize("factor", [1e-6, 1e-8])
 def test_timestamps_in_another_unit_are_refused(recording, tmp_path, factor):
     """Milliseconds, or counts of frames."""

@@ -60,6 +60,9 @@ def _check(settings: LabelSettings) -> None:
     for option, value in (("--fx", settings.fx), ("--fy", settings.fy), ("--depth-unit", settings.depth_unit)):
         if value is not None and not 0 < value < math.inf:
             raise InputError(f"{option} must be finite and above 0, got {value}")
+    for option, value in (("--cx", settings.cx), ("--cy", settings.cy)):
+        if value is not None and not math.isfinite(value):
+            raise InputError(f"{option} must be finite, got {value}")
     if settings.out.suffix.lower() != ".png":  # others lose what the labels are
         raise InputError(f"--out must end in .png, got {settings.out}")
     taken = {settings.depth.resolve(): "the depth image"}

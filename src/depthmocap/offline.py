@@ -116,6 +116,8 @@ def load_pipeline(
         from depthmocap.datasets.ubc3v import Section
 
         smooth = "none" if isinstance(source, Section) else AUTO
+    if smooth == "none" and bridge_s:
+        raise InputError("gaps are bridged by the filters kalman and fixed-lag, not without one")
     smoothing = None if smooth == "none" else load_filter(smooth, lag_frames, bridge_s, bones)
     return Pipeline(
         Classifier(weights),

@@ -153,6 +153,7 @@ def _mirrored(document: dict[str, Any]) -> None:
         (_set("height", -48), "must be positive"),
         (_set("depth_unit_m", 0), "must be positive"),
         (_set("distortion", [0.1, 0.2]), r"must be \[k1, k2, p1, p2, k3\], got 2"),
+        (_set("distortion", [50, -30, 0, 0, 10]), "can be undone in [0-9]+ % of the picture only"),
         (_set("distortion", [0.1, 0, 0, 0, float("inf")]), "must be finite"),
         (_set("world_from_camera", [1, 0, 0]), "must be 4×4"),
         (_set("world_from_camera", [[1, 0], [1]]), "not a number"),

@@ -151,10 +151,16 @@ def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
             "(columns of length 1 at right angles, determinant +1, last row 0 0 0 1); calibrate this camera again"
         )
     k1, k2, p1, p2, k3 = distortion
-    return DepthCamera(
+    camera = DepthCamera(
         str(entry["name"]), width, height, **numbers, world_from_camera=pose,
         distortion=(k1, k2, p1, p2, k3), depth_unit_m=unit,
     )  # fmt: skip
+    if any(distortion) and (undone := np.isfinite(camera.rays[..., 0]).mean()) < 0.5:
+        raise InputError(
+            f"{where}: distortion {distortion} can be undone in {100 * undone:.0f} % of the picture only; "
+            "give OpenCV's [k1, k2, p1, p2, k3], for x/z and y/z"
+        )
+    return camera
 
 
 def check_placed(cameras: Iterable[DepthCamera]) -> None:
