@@ -29,6 +29,7 @@ from depthmocap.geometry import check_placed, load_rig
 from depthmocap.offline_report import Pictures, write_run_report
 from depthmocap.people.segmenter import PeopleSegmenter
 from depthmocap.pipeline import STAGES, Pipeline, Result
+from depthmocap.pose.agreement import Agreement
 from depthmocap.pose.estimate import load_estimator
 from depthmocap.pose.track import AUTO, Bones, Smoothing, load_filter
 from depthmocap.report.metrics import joint_metrics
@@ -156,6 +157,8 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     rows: list[tuple[Pose, Float[ndarray, "18 3"], dict[str, float]]] = []
     delivered: dict[str, int] = dict.fromkeys(source.rig.names, 0) if isinstance(source, Recording) else {}
     interrupted = False
+    agreement = Agreement()
+    misplaced: list[str] = []
     # Frames whose pose a filter that waits has not given yet.
     waiting: collections.deque[tuple[FrameSet, Result, dict[str, float]]] = collections.deque()
     delay = pipeline.smoothing.delay_frames if pipeline.smoothing else 0
@@ -184,6 +187,7 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
                 read_ms = (time.perf_counter() - before) * 1e3
                 result = pipeline(frames)
                 waiting.append((frames, result, {"read": read_ms, **result.milliseconds}))
+                misplaced += agreement(result.cloud)
                 if settings.people > 1:
                     everybody.write({person.number: person.pose for person in result.people}, delay)
                 if len(waiting) > delay:
@@ -203,9 +207,15 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
                 finished(pose)
 
     poses, truths, times = [row[0] for row in rows], [row[1] for row in rows], [row[2] for row in rows]
-    problems = [*getattr(source, "problems", []), *getattr(pipeline.segment, "problems", [])]
+    misplaced += agreement.finish()
+    problems = [
+        *dict.fromkeys(misplaced), *getattr(source, "problems", []), *getattr(pipeline.segment, "problems", []),
+    ]  # fmt: skip
     if not poses or all(np.isnan(pose.joints).all() for pose in poses):
-        hint = " ".join(_few(problems)) or "try --segment none, or add a background.png for each camera"
+        hint = " ".join(_few(problems)) or (
+            "try --segment none, add a background.png for each camera, or see that the cameras stand where the rig "
+            "says (world_from_camera is the camera's pose in the world, not its inverse)"
+        )
         raise InputError(f"{settings.recording}: no person was found in any of {len(poses)} frames: {hint}")
     write_trc(settings.out / "pose.trc", poses, source.up)
     held = []
@@ -216,6 +226,7 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     summary = _summary(settings, poses, truths, times, delivered, held, problems)
     if settings.people > 1:
         summary["frames_by_person"] = {str(number): count for number, count in sorted(everybody.poses.items())}
+    summary["cameras_apart_cm"] = {name: 100 * apart_m for name, apart_m in agreement.apart_m().items()}
     summary |= {"interrupted": interrupted, "smoothing": pipeline.smoothing.describe() if pipeline.smoothing else None}
     (settings.out / "summary.json").write_text(json.dumps(plain_json(summary), indent=1) + "\n")
     if pictures is not None:

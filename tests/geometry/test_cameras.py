@@ -158,6 +158,7 @@ def _mirrored(document: dict[str, Any]) -> None:
         (_set("world_from_camera", [1, 0, 0]), "must be 4×4"),
         (_set("world_from_camera", [[1, 0], [1]]), "not a number"),
         (_set("world_from_camera", (np.eye(4) * 1000).tolist()), "not a rotation and a translation"),
+        (_set("world_from_camera", [[1, 0, 0, 2500], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]), "must be in metres"),
         (_mirrored, "camera 'b': world_from_camera is not a rotation"),
         (_set("name", "a"), "names must differ"),
         (lambda d: d.update(up="x"), 'up must be "z", "y" or "-y"'),

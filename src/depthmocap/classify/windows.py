@@ -26,7 +26,7 @@ from depthmocap.synth.motion.postures import TRAINING_VARIATION, Variation, post
 from depthmocap.synth.sample import Recipe, Split, Subset
 from depthmocap.synth.sample import Sampler as SampleSampler
 
-#: Validation draws from a seed of its own.
+#: Validation draws from this seed whatever the run's: numbers of different runs compare.
 _VALID_SEED = 1_000_003
 _ENDLESS = 1 << 40
 #: So many batches at a time are sorted by the size of their windows.
@@ -71,21 +71,20 @@ class WindowSource:
         return _PaperWindows(self, "train", first) if self.network == "paper" else _SynthWindows(self, first)
 
     def valid(self, count: int) -> list[LabelledWindow]:
-        """The fixed validation windows: of the postures of the valid split, from another seed.
+        """The fixed validation windows of the valid split, the same of every seed.
 
         Raises:
             InputError: postures or data that cannot be read.
         """
+        fixed = dataclasses.replace(self, seed=_VALID_SEED)
         if self.data != "synth":
-            folder = _FolderWindows(self, "valid", 0)
+            folder = _FolderWindows(fixed, "valid", 0)
             return [folder[i] for i in range(min(count, len(folder.index)))]
         if self.network == "paper":
-            source = _PaperWindows(dataclasses.replace(self, seed=self.seed + _VALID_SEED), "valid", 0)
+            source = _PaperWindows(fixed, "valid", 0)
             return [source[i] for i in range(count)]
         postures = posture_source(self.postures, "valid", self.subset == "easy")
-        return [
-            self.as_seen(training_window(self.seed + _VALID_SEED, i, self.subset, postures, None)) for i in range(count)
-        ]
+        return [self.as_seen(training_window(fixed.seed, i, self.subset, postures, None)) for i in range(count)]
 
     def as_seen(self, window: LabelledWindow) -> LabelledWindow:
         """The window in the resolution of this source: half of it leaves every second row and column, drawn twice."""

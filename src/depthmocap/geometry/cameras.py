@@ -17,6 +17,9 @@ from numpy import ndarray
 from depthmocap.errors import InputError
 from depthmocap.geometry.transforms import is_rigid, rigid_inverse, transform_points
 
+#: No two cameras that see one person are this far apart (metres).
+FURTHEST_M = 100.0
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DepthCamera:
@@ -201,6 +204,11 @@ def load_rig(path: Path) -> Rig:
     names = [camera.name for camera in cameras]
     if len(set(names)) < len(names):
         raise InputError(f"{path}: camera names must differ, got {names}")
+    places = np.stack([camera.world_from_camera[:3, 3] for camera in cameras])
+    if (apart_m := float(np.linalg.norm(places - places[0], axis=1).max())) > FURTHEST_M:
+        raise InputError(
+            f"{path}: two cameras are {apart_m:,.0f} m apart; the places in world_from_camera must be in metres"
+        )
     up = document.get("up", "z")
     if up not in ("z", "y", "-y"):
         raise InputError(f'{path}: up must be "z", "y" or "-y", not {up!r}')

@@ -25,6 +25,7 @@ from depthmocap.online.gather import Gatherer
 from depthmocap.online.intake import Intake, frame_set, recorded_frames
 from depthmocap.online.status import Books, CameraStatus, camera_statuses
 from depthmocap.pipeline import Pipeline, Result
+from depthmocap.pose.agreement import Agreement
 from depthmocap.pose.track import Bones, Smoothing
 
 Segment = Literal["auto", "none"]
@@ -84,7 +85,7 @@ class LiveCapture:
         """
         self._sources, self._pipeline, self._make_pipeline = list(sources), pipeline, make_pipeline
         self.gatherer = Gatherer(sources, rig, sync, measure_rate)
-        self.books = Books()
+        self.books, self._agreement = Books(), Agreement()
         #: Sets that came while the pipeline was made ready, and have no pose.
         self.before_ready = 0
         self.up = rig.up if rig else (sources[0].up if sources else "z")
@@ -143,9 +144,11 @@ class LiveCapture:
                 self.before_ready, self.gatherer.dropped = self.gatherer.dropped + 1, 0
                 continue
             result = self._pipeline(frame_set(synced, self.gatherer.cameras))
+            self.gatherer.intake.problems.update(self._agreement(result.cloud))
             last_ns = max(frame.arrival_ns for frame in synced.frames.values())
             latency_ms = (time.monotonic_ns() - last_ns) * 1e-6
             yield _booked(self.books, LivePose(result.pose, synced, result, latency_ms))
+        self.gatherer.intake.problems.update(self._agreement.finish())
 
     def _begin(self, frames: FrameSet) -> Pipeline:
         """The default pipeline, warm; takes the first set for it."""
@@ -179,7 +182,7 @@ class Replay:
         """``make_pipeline`` is given the recording, which brings its background."""
         self.pipeline = make_pipeline(recording)
         self.intake = Intake(sync or SyncSettings(rate_hz=1e9 / recording.period_ns))
-        self.books, self.up = Books(), recording.up
+        self.books, self._agreement, self.up = Books(), Agreement(), recording.up
         self._recording, self._now_ns = recording, 0
         for camera in recording.rig.cameras:
             if recording.stamps(camera.name):
@@ -207,7 +210,9 @@ class Replay:
             begun = time.perf_counter()
             result = self.pipeline(frame_set(synced, self.intake.cameras))
             latency_ms = (time.perf_counter() - begun) * 1e3
+            self.intake.problems.update(self._agreement(result.cloud))
             yield _booked(self.books, LivePose(result.pose, synced, result, latency_ms))
+        self.intake.problems.update(self._agreement.finish())
 
 
 def _booked(books: Books, live: LivePose) -> LivePose:
