@@ -171,11 +171,24 @@ def test_train_pose_in_the_world_from_synth(body_model, tmp_path):
     settings = PoseTraining(tmp_path, source, "ridge")
     for path in train_pose(settings):
         assert RidgeBank.load(path).frame == "world"
-    with pytest.raises(InputError, match="other settings"):
+    before = (tmp_path / "settings.json").read_text()
+    with pytest.raises(InputError, match="holds samples with --seed 0: use the same"):
         train_pose(dataclasses.replace(settings, source=dataclasses.replace(source, seed=1)))
-    few = dataclasses.replace(source, samples=2)
-    with pytest.raises(InputError, match="too few"):
-        train_pose(dataclasses.replace(settings, out=tmp_path / "few", source=few))
+    assert (tmp_path / "settings.json").read_text() == before  # of what is there
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"minutes": np.nan}, "--minutes must be finite and above 0"),
+        ({"minutes": -1.0}, "--minutes must be finite and above 0"),
+        ({"learning_rate": np.inf}, "--learning-rate must be finite and above 0"),
+        ({"source": PoseSamples(samples=19)}, "--samples must be at least 20"),
+    ],
+)
+def test_pose_training_that_cannot_be(tmp_path, change, message):
+    with pytest.raises(InputError, match=message):
+        PoseTraining(tmp_path, **change)
 
 
 def skip_export(patch: pytest.MonkeyPatch) -> None:
@@ -194,6 +207,10 @@ def test_train_classifier_resumes_and_exports(root, tmp_path, monkeypatch):
     history = (settings.out / "history.jsonl").read_text().splitlines()
     assert [json.loads(row)["step"] for row in history] == [16, 32]
     assert (settings.out / "curves.png").stat().st_size > 0
+    before = (settings.out / "settings.json").read_text()
+    with pytest.raises(InputError, match="holds a run with --learning-rate None: use the same, or another --out"):
+        train_classifier(dataclasses.replace(settings, images=48, learning_rate=0.1))
+    assert (settings.out / "settings.json").read_text() == before
     monkeypatch.setattr(train, "_CALIBRATION", 8)
     onnx = train_classifier(dataclasses.replace(settings, images=48))
     history = (settings.out / "history.jsonl").read_text().splitlines()

@@ -85,7 +85,7 @@ def test_preview_with_and_without_a_name(picture, tmp_path, given, name, monkeyp
         ("link.png", None, "--out must not be the mask"),
         ("labels.png", ("depth.png",), "--preview must not be the depth image"),
         ("labels.png", ("mask.png",), "--preview must not be the mask"),
-        ("labels.png", ("labels.png",), "--preview must not be the labels"),
+        ("labels.png", ("labels.png",), "--preview must not be the file of --out"),
         ("depth.jpg", None, r"--out must end in \.png, got"),
         ("labels", (), r"--out must end in \.png, got"),
     ],

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import importlib
+import io
 import os
 import sys
 import warnings
@@ -109,13 +111,34 @@ def _find(arguments: list[str]) -> tuple[_Command, list[str]] | None:
     return None
 
 
+class _Held(io.StringIO):
+    """What the parser says of an error, in colours where the terminal has them."""
+
+    def isatty(self) -> bool:
+        return sys.__stderr__ is not None and sys.__stderr__.isatty()
+
+
 def _parse(settings: type, arguments: list[str], prog: str) -> Any:
-    """The settings that the arguments tell. Help that nobody reads to its end (``| head``) ends in silence."""
+    """The settings that the arguments tell. Help that nobody reads to its end (``| head``) ends in silence.
+
+    Raises:
+        InputError: of the settings themselves, which the parser would put into a frame.
+    """
+    held = _Held()
     try:
         try:
-            return tyro.cli(settings, args=arguments, prog=prog)
+            with contextlib.redirect_stderr(held):
+                return tyro.cli(settings, args=arguments, prog=prog)
         finally:
             sys.stdout.flush()
+    except SystemExit as end:
+        cause = end.__context__
+        while cause is not None and not isinstance(cause, InputError):
+            cause = cause.__context__
+        if cause is not None:
+            raise cause from None
+        sys.stderr.write(held.getvalue())
+        raise
     except BrokenPipeError:
         # Python flushes once more at its end, and would complain.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

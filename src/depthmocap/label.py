@@ -17,6 +17,7 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.output import check_outputs
 
 #: Focal length as a share of the width where none is given: a horizontal field of view of 70°, as Kinect 2's.
 _FOCAL_SHARE = 0.715
@@ -65,15 +66,10 @@ def _check(settings: LabelSettings) -> None:
             raise InputError(f"{option} must be finite, got {value}")
     if settings.out.suffix.lower() != ".png":  # others lose what the labels are
         raise InputError(f"--out must end in .png, got {settings.out}")
-    taken = {settings.depth.resolve(): "the depth image"}
-    if settings.mask is not None:
-        taken[settings.mask.resolve()] = "the mask"
-    for option, path in (("--out", settings.out), ("--preview", _preview_path(settings))):
-        if path is None:
-            continue
-        if what := taken.get(path.resolve()):
-            raise InputError(f"{option} must not be {what}, got {path}: choose another name")
-        taken[path.resolve()] = "the labels"
+    check_outputs(
+        {"--out": settings.out, "--preview": _preview_path(settings)},
+        {"the depth image": settings.depth, "the mask": settings.mask},
+    )
 
 
 def _read(path: Path) -> ndarray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import collections
 import dataclasses
-import json
 import platform
 import time
 from pathlib import Path
@@ -23,10 +22,11 @@ from depthmocap.capture.recording import Recording
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.export import CsvWriter, write_bvh, write_trc
-from depthmocap.export.files import PeopleFiles, plain_json
+from depthmocap.export.files import PeopleFiles
 from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.geometry import check_placed, load_rig
 from depthmocap.offline_report import Pictures, write_run_report
+from depthmocap.output import write_json
 from depthmocap.people.segmenter import PeopleSegmenter
 from depthmocap.pipeline import STAGES, Pipeline, Result
 from depthmocap.pose.agreement import Agreement
@@ -214,7 +214,7 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     if not poses or all(np.isnan(pose.joints).all() for pose in poses):
         hint = " ".join(_few(problems)) or (
             "try --segment none, add a background.png for each camera, or see that the cameras stand where the rig "
-            "says (world_from_camera is the camera's pose in the world, not its inverse)"
+            "says (world_from_camera is the camera's pose in the world, not its inverse) and that its up axis is right"
         )
         raise InputError(f"{settings.recording}: no person was found in any of {len(poses)} frames: {hint}")
     write_trc(settings.out / "pose.trc", poses, source.up)
@@ -228,7 +228,7 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
         summary["frames_by_person"] = {str(number): count for number, count in sorted(everybody.poses.items())}
     summary["cameras_apart_cm"] = {name: 100 * apart_m for name, apart_m in agreement.apart_m().items()}
     summary |= {"interrupted": interrupted, "smoothing": pipeline.smoothing.describe() if pipeline.smoothing else None}
-    (settings.out / "summary.json").write_text(json.dumps(plain_json(summary), indent=1) + "\n")
+    write_json(settings.out / "summary.json", summary)
     if pictures is not None:
         with console.status("drawing the report"):
             write_run_report(settings.out, summary, pictures, np.stack(truths), np.stack([p.joints for p in poses]))

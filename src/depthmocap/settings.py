@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Collection
+import math
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 from depthmocap.errors import InputError
+from depthmocap.output import writing
 
 
 def plain_settings(settings: Any) -> dict[str, Any]:
@@ -30,6 +32,21 @@ def check_seed(seed: int) -> None:
         raise InputError(f"--seed must be at least 0, got {seed}")
 
 
+def check_numbers(above: Mapping[str, float | None], at_least: Mapping[str, tuple[float | None, float]]) -> None:
+    """Raise InputError unless numbers are finite and within bounds; None is left out.
+
+    Args:
+        above: by option, numbers that must be above 0.
+        at_least: by option, numbers and the least that each may be.
+    """
+    for option, value in above.items():
+        if value is not None and not 0 < value < math.inf:
+            raise InputError(f"{option} must be finite and above 0, got {value:g}")
+    for option, (value, least) in at_least.items():
+        if value is not None and not least <= value < math.inf:
+            raise InputError(f"{option} must be finite and at least {least:g}, got {value:g}")
+
+
 def claim_folder(folder: Path, settings: Any, what: str, free: Collection[str]) -> None:
     """Write settings.json into a folder that a command fills, or compare with what is there, so that what is run again
     goes on with the same.
@@ -41,14 +58,14 @@ def claim_folder(folder: Path, settings: Any, what: str, free: Collection[str]) 
     Raises:
         InputError: when the folder holds something of other settings.
     """
-    plain = {name: value for name, value in plain_settings(settings).items() if name not in free}
-    mine = json.loads(json.dumps(plain))  # which has lists for tuples
+    mine = json.loads(json.dumps(plain_settings(settings)))  # which has lists for tuples
     path = folder / "settings.json"
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     if path.exists():
         theirs = json.loads(path.read_text())
-        differ = [name for name, value in mine.items() if theirs.get(name) != value]
+        differ = [name for name, value in mine.items() if name not in free and theirs.get(name) != value]
         if differ:
             options = ", ".join(f"--{name.replace('_', '-')} {theirs.get(name)}" for name in differ)
             raise InputError(f"{folder} holds {what} with {options}: use the same, or another --out")
-    folder.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(mine, indent=1) + "\n")

@@ -99,3 +99,24 @@ def test_what_cannot_be_calibrated_is_one_clear_line(tmp_path, spoil, message, c
     assert message in printed
     assert "Traceback" not in printed
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("out", "options", "message"),
+    [
+        ("rig.mcap", (), "--out must end in .json"),
+        ("rig.html", (), "--out must end in .json"),
+        ("rig.json", ("--json", "rig.json"), "--json must not be the file of --out"),
+        ("rig.json", ("--report", "rig.json"), "--report must not be the file of --out"),
+        ("rig.json", ("--json", "rig.html"), "--json must not be the file of --report"),
+        ("recording/rig.json", (), "--out must not be a file of the recording"),
+    ],
+)
+def test_nothing_is_written_over(tmp_path, monkeypatch, capsys, out, options, message):
+    shutil.copytree(DEMO, tmp_path / "recording")
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    assert main(["calibrate", "recording", "--out", out, *options]) == 2
+    assert message in " ".join(capsys.readouterr().err.split())
+    assert sorted(tmp_path.rglob("*")) == before
+    assert (tmp_path / "recording" / "rig.json").read_bytes() == (DEMO / "rig.json").read_bytes()

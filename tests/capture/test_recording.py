@@ -1,3 +1,4 @@
+import json
 import shutil
 from pathlib import Path
 
@@ -208,6 +209,22 @@ def test_a_bad_first_or_background_frame_is_an_error(
     with pytest.raises(InputError, match=message) as caught:
         Recording(folder)
     assert str(path) in str(caught.value)
+
+
+def change_unit(folder: Path, unit_m: float) -> None:
+    document = json.loads((folder / "rig.json").read_text())
+    document["cameras"][1]["depth_unit_m"] = unit_m
+    (folder / "rig.json").write_text(json.dumps(document))
+
+
+def test_depth_of_another_unit(folder: Path) -> None:
+    assert Recording(folder).problems == []
+    change_unit(folder, 0.25)
+    with pytest.raises(InputError, match=r"beyond .* further than any depth camera sees: see depth_unit_m of .*cam1"):
+        Recording(folder)
+    change_unit(folder, 2e-7)
+    (problem,) = Recording(folder).problems
+    assert "depth_unit_m of camera 'cam1'" in problem and "2e-07" in problem
 
 
 def test_an_empty_background_is_an_error(folder: Path) -> None:

@@ -90,13 +90,32 @@ def test_the_papers_network_learns_resumes_and_exports(
     accuracy, joint_m = evaluate_windows(network, [window])
     assert np.isnan(joint_m)
     assert accuracy.pixels == ((window.inputs[1] > 0) & (window.labels > 0) & (window.labels != UNLABELLED)).sum()
+    with pytest.raises(InputError, match="holds a run with --network paper"):
+        train_classifier(dataclasses.replace(settings, network="fast", images=8))
+    (tmp_path / "run" / "settings.json").unlink()
     with pytest.raises(InputError, match=r"checkpoint\.pt is of another network or optimiser"):
         train_classifier(dataclasses.replace(settings, network="fast", images=8))
 
 
-def test_average_that_cannot_be(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--average must be from 0"):
-        train_classifier(ClassifierTraining(tmp_path, average=1.0))
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"average": 1.0}, "--average must be from 0"),
+        ({"momentum": float("nan")}, "--momentum must be from 0"),
+        ({"blend": 1.0}, "--blend must be from 0 to less than 1"),
+        ({"blend": -0.1}, "--blend must be from 0 to less than 1"),
+        ({"blend": 0.5}, "--blend asks for a --start"),
+        ({"minutes": float("nan")}, "--minutes must be finite and at least 0"),
+        ({"learning_rate": -1.0}, "--learning-rate must be finite and above 0"),
+        ({"weight_decay": -1.0}, "--weight-decay must be finite and at least 0"),
+        ({"images": 0}, "--images must be finite and at least 1"),
+        ({"batch": -8}, "--batch must be finite and at least 1"),
+        ({"valid_every": 0}, "--valid-every must be finite and at least 1"),
+    ],
+)
+def test_settings_that_cannot_be(change: dict, message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=message):
+        ClassifierTraining(tmp_path, **change)
 
 
 def test_what_is_kept_is_blended_with_what_it_started_from(body_model: BodyModel, tmp_path: Path) -> None:
@@ -127,7 +146,7 @@ def test_the_accurate_network_starts_from_the_fast_one(
     start = packaged_weights().with_suffix(".safetensors")
     settings = ClassifierTraining(
         tmp_path / "run", network="accurate", images=16, batch=16, start=start, valid_images=2, workers=0, average=0.0,
-        learning_rate=0.0,
+        learning_rate=1e-12,
     )  # fmt: skip
     path = train_classifier(settings)
     fast, accurate = FastNet(), AccurateNet()
@@ -140,12 +159,6 @@ def test_the_accurate_network_starts_from_the_fast_one(
     assert Classifier(path.with_name("classifier_int8.onnx"), threads=1).network == "accurate"
     with pytest.raises(InputError, match="does not hold weights of this network: Error"):
         load_weights(fast, path.with_name("classifier.safetensors"))
-
-
-@pytest.mark.parametrize("change", [{"blend": 1.0}, {"blend": -0.1}, {"blend": 0.5}])
-def test_blends_that_cannot_be(change: dict, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--blend must be from 0 to less than 1, and asks for a --start"):
-        train_classifier(dataclasses.replace(ClassifierTraining(tmp_path), **change))
 
 
 def test_joint_loss() -> None:

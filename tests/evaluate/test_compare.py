@@ -60,13 +60,25 @@ def test_a_file_of_one_set(tmp_path):
         ({"seen": numbers(0.1, frames=5)}, "frames of seen is 4 in A, 5 in B"),
         ({"seen": numbers(0.1, joints=JOINTS[:5])}, "18 joints in A, 5 joints in B"),
         ({"seen": numbers(0.1, seed=2)}, "seed of seen is not told in A, 2 in B"),
+        ({"seen": numbers(0.1, true_joints="b")}, "the true joints of seen differ"),
         ({"seen": numbers(0.1, recipe={"sensors": ["kinect1"], "postures": "x"})}, "sensors of seen"),
     ],
 )
 def test_sets_that_differ_are_refused(tmp_path, other, message):
-    a, b = write(tmp_path / "a.json", {"seen": numbers(0.04)}), write(tmp_path / "b.json", other)
+    ours = {"seen": numbers(0.04, true_joints="a")}
+    a, b = write(tmp_path / "a.json", ours), write(tmp_path / "b.json", other)
     with pytest.raises(InputError, match=message):
         compare(Comparison(a, b), QUIET)
+
+
+def test_how_it_was_measured_may_differ_and_is_told(tmp_path, capsys):
+    a = write(tmp_path / "a.json", {"seen": numbers(0.04, views=3, data="x", about={"weights": None})})
+    b = write(tmp_path / "b.json", {"seen": numbers(0.05, views=1, data="x", about={"weights": "net.onnx"})})
+    assert main(["compare", str(a), str(b)]) == 0
+    printed = capsys.readouterr().out
+    assert "views of seen: 3 in A, 1 in B" in printed
+    assert "weights of seen: the packaged ones in A, net.onnx in B" in printed
+    assert "data of seen" not in printed and "labels of seen" not in printed
 
 
 def test_what_is_not_an_evaluation(tmp_path):

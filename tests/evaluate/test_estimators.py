@@ -63,3 +63,9 @@ def test_what_cannot_be_compared(tmp_path, capsys):
     folder = write_samples(tmp_path / "samples")
     assert main(["evaluate", "estimators", str(folder), "--views", "3", "--minutes", "0"]) == 2
     assert "[3] views" in capsys.readouterr().err
+    few = write_samples(tmp_path / "few", n=20)
+    assert main(["evaluate", "estimators", str(few), "--views", "2", "--minutes", "0"]) == 2
+    assert "are too few" in capsys.readouterr().err
+    for option, value in (("--minutes", "nan"), ("--folds", "1")):
+        assert main(["evaluate", "estimators", str(folder), option, value]) == 2
+        assert f"{option} must be finite and at least" in capsys.readouterr().err

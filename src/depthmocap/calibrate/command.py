@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any, Literal
 
@@ -27,10 +26,9 @@ from depthmocap.capture.recording import Recording
 from depthmocap.capture.segment import PersonSegmenter
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
-from depthmocap.export.files import plain_json
-from depthmocap.export.output import writing
 from depthmocap.frames import View
 from depthmocap.geometry import Rig, save_rig, transform_points, z_up_from
+from depthmocap.output import check_outputs, write_json, writing
 from depthmocap.settings import check_seed
 
 _GRADES = ("good", "fair", "poor")
@@ -69,6 +67,13 @@ class CalibrateSettings:
         check_seed(self.seed)
         if not 1 <= self.rate_hz <= 120:
             raise InputError(f"--rate-hz takes 1 to 120, got {self.rate_hz:g}")
+        if self.out.suffix.lower() != ".json":
+            raise InputError(f"--out must end in .json, got {self.out}")
+
+    @property
+    def page(self) -> Path:
+        """The page with pictures."""
+        return self.report or self.out.with_suffix(".html")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -192,11 +197,14 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
     """
     console = console or Console()
     recording = open_recording(settings.recording)
+    check_outputs(
+        {"--out": settings.out, "--report": settings.page, "--json": settings.json},
+        {"the recording": settings.recording, "the file of --weights": settings.weights},
+    )
     found = find_rig(recording, settings, console)
     with writing(settings.out):
         settings.out.parent.mkdir(parents=True, exist_ok=True)
         save_rig(found.rig, settings.out)
-    page = settings.report or settings.out.with_suffix(".html")
     headline = _headline(found, len(recording.rig.cameras))
     notes = [
         _FLOORS[found.floor],
@@ -206,12 +214,13 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
     before = _placed({name: recording.rig[name].world_from_camera for name in found.rig.names}, recording.up)
     after = {camera.name: camera.world_from_camera for camera in found.rig.cameras}
     pictures = _picture(found, before, None), _picture(found, after, found.way)
-    write_page(page, headline, notes, found.pairs, pictures)
+    write_page(settings.page, headline, notes, found.pairs, pictures)
     if settings.json is not None:
-        with writing(settings.json):
-            settings.json.write_text(json.dumps(plain_json(_numbers(found)), indent=1) + "\n")
+        write_json(settings.json, _numbers(found))
     _tell(found, [headline, *notes], console)
-    console.print(f"{settings.out} has the cameras, {page} the pictures; run, live and record take it by --rig.")
+    console.print(
+        f"{settings.out} has the cameras, {settings.page} the pictures; run, live and record take it by --rig."
+    )
     return found
 
 

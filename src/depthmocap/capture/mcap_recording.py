@@ -111,9 +111,11 @@ class McapRecording(Recording):
         for stamp in stamps[:3]:
             try:
                 self.raw(name, stamp)
-                return
             except InputError as error:
                 errors.append(error)
+                continue
+            self._check_depth(name, stamp)
+            return
         raise errors[0]
 
     def _payloads(self, messages: list[Message]) -> Iterator[bytes]:

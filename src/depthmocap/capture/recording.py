@@ -35,6 +35,8 @@ BACKGROUND_FILE = "background.png"
 TRUTH_FILE = "truth.csv"
 TRUTH_COLUMNS: tuple[str, ...] = tuple(f"{joint}_{axis}" for joint in JOINTS for axis in "xyz")
 SATURATED = 65535
+#: Half of a camera's first picture is not further or nearer (metres).
+FARTHEST_M, NEAREST_M = 50.0, 0.3
 #: What makes frames useless that can be read, in words.
 _USELESS: dict[Fault, str] = {
     "frozen": "the same picture again and again",
@@ -185,7 +187,20 @@ class Recording:
 
     def _check_first(self, name: str, stamps: list[int]) -> None:
         """A fault in the first frame is one of configuration, and no lost frame."""
-        self.raw(name, stamps[0])
+        self._check_depth(name, stamps[0])
+
+    def _check_depth(self, name: str, stamp: int) -> None:
+        """See that a frame can be read, and that its depth is of persons and rooms in the unit that the rig says."""
+        depth_m = self.rig[name].to_metres(self.raw(name, stamp))
+        if not depth_m.any():
+            return
+        median_m = float(np.median(depth_m[depth_m > 0]))
+        told = f"{self._where(name, str(stamp))}: half of the depth is beyond {median_m:.2g} m"
+        unit = f"see depth_unit_m of camera {name!r} in the rig: {self.rig[name].depth_unit_m:g} m"
+        if median_m > FARTHEST_M:
+            raise InputError(f"{told}, further than any depth camera sees: {unit}")
+        if median_m < NEAREST_M:
+            self._note(f"{told.replace('beyond', 'within')}: unless something is before the lens, {unit}")
 
     def stamps(self, name: str) -> list[int]:
         """The timestamps (ns) of a camera's frames in order, on the clock that all cameras share."""

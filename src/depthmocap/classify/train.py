@@ -29,7 +29,7 @@ from depthmocap.classify.windows import Batches, Ingredient, WindowSource, sorte
 from depthmocap.errors import InputError
 from depthmocap.precision import in_bfloat16
 from depthmocap.report.metrics import PixelAccuracy
-from depthmocap.settings import check_seed, plain_settings
+from depthmocap.settings import check_numbers, check_seed, claim_folder
 from depthmocap.synth.sample import Subset
 
 Optimiser = Literal["adamw", "sgd"]
@@ -39,6 +39,10 @@ _JOINT_WEIGHT, _SURPRISE = 4.0, 0.01
 _CALIBRATION = 64
 #: Learning rate and weight decay of each, where none are given.
 _RATES: dict[Optimiser, tuple[float, float]] = {"adamw": (2e-3, 0.02), "sgd": (0.03, 5e-4)}
+#: Settings that may change when a run is gone on with: how long, where and how fast it learns, and what is exported.
+_FREE = (
+    "out", "images", "minutes", "blend", "postures", "workers", "device", "bfloat16", "valid_every", "valid_images",
+)  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,6 +100,19 @@ class ClassifierTraining:
     device: str = "cpu"
     bfloat16: bool | None = None
     without: tuple[Ingredient, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_seed(self.seed)
+        counts = {"--images": self.images, "--batch": self.batch, "--valid-every": self.valid_every,
+                  "--valid-images": self.valid_images}  # fmt: skip
+        at_least: dict[str, tuple[float | None, float]] = {option: (count, 1) for option, count in counts.items()}
+        at_least |= {"--minutes": (self.minutes, 0), "--weight-decay": (self.weight_decay, 0)}
+        check_numbers({"--learning-rate": self.learning_rate}, at_least)
+        for option, share in (("--average", self.average), ("--momentum", self.momentum), ("--blend", self.blend)):
+            if not 0 <= share < 1:
+                raise InputError(f"{option} must be from 0 to less than 1, got {share}")
+        if self.blend and self.start is None:
+            raise InputError(f"--blend asks for a --start, got {self.blend} without one")
 
     @property
     def source(self) -> WindowSource:
@@ -177,14 +194,11 @@ def train_classifier(settings: ClassifierTraining) -> Path:
         InputError: data, postures or weights that cannot be read, a folder that holds another network's run, or a
             network of the paper's that shall lack something.
     """
-    check_seed(settings.seed)
-    if not 0 <= settings.average < 1:
-        raise InputError(f"--average must be from 0 to less than 1, got {settings.average}")
-    if not 0 <= settings.blend < 1 or (settings.blend and settings.start is None):
-        raise InputError(f"--blend must be from 0 to less than 1, and asks for a --start; got {settings.blend}")
     out = settings.out
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "settings.json").write_text(json.dumps(plain_settings(settings), indent=1) + "\n")
+    checkpoint = out / "checkpoint.pt"
+    if not checkpoint.exists():
+        (out / "settings.json").unlink(missing_ok=True)  # of a run that has not begun
+    claim_folder(out, settings, "a run", _FREE)
     torch.manual_seed(settings.seed)
     network = make_network(settings)
     network.to(settings.device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
@@ -194,7 +208,6 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     optimiser = _make_optimiser(network, settings)
     peaks = [group["peak"] for group in optimiser.param_groups]
     done, spent, history = 0, 0.0, []
-    checkpoint = out / "checkpoint.pt"
     if checkpoint.exists():
         state = torch.load(checkpoint, map_location=settings.device, weights_only=True)
         try:

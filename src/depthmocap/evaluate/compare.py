@@ -18,6 +18,8 @@ from depthmocap.evaluate.evaluation_report import Numbers, measures
 
 #: What tells a set: two results may be compared only where these agree.
 _OF_THE_SET = ("subset", "split", "frames", "joints", "seed", "clips")
+#: How it was measured, which may differ.
+_HOW = ("data", "views", "labels", "weights", "estimator")
 #: Settings of a recipe that tell where its postures lie on a disk, not what they are.
 _OF_THE_DISK = ("postures",)
 
@@ -28,7 +30,7 @@ class Comparison:
 
     Attributes:
         a: what an evaluation wrote with --json.
-        b: another, of the same frames and joints; labels, weights, estimator and refit may differ.
+        b: another, of the same frames and joints; views, labels, weights, estimator and refit may differ.
     """
 
     a: tyro.conf.Positional[Path]
@@ -77,6 +79,9 @@ def compare(settings: Comparison, console: Console | None = None) -> dict[str, d
         rows = {words + (f" ({unit})" if unit else ""): (value, theirs[words][0])
                 for words, (value, unit) in ours.items() if words in theirs}  # fmt: skip
         values[name] = {words: (_number(x), _number(y)) for words, (x, y) in (rows | joints).items()}
+        for key, x, y in ((key, _told(a[name], key), _told(b[name], key)) for key in _HOW):
+            if x != y:
+                console.print(f"{key} of {name}: {x} in A, {y} in B", markup=False, highlight=False, soft_wrap=True)
         table = Table(title=name)
         table.add_column("")
         for title in ("A", "B", "B − A", "B / A"):
@@ -102,6 +107,15 @@ def _check_same(settings: Comparison, a: Mapping[str, Numbers], b: Mapping[str, 
         for key, x, y in pairs:
             if x != y:
                 raise InputError(f"{where}: {key} of {name} is {_short(x)} in A, {_short(y)} in B")
+        # Results of earlier versions lack it.
+        true = {numbers.get("true_joints") for numbers in (a[name], b[name])} - {None}
+        if len(true) > 1:
+            raise InputError(f"{where}: the true joints of {name} differ")
+
+
+def _told(numbers: Numbers, key: str) -> Any:
+    value = numbers.get(key, (numbers.get("about") or {}).get(key))
+    return "the packaged ones" if key == "weights" and value is None else value
 
 
 def _joints(numbers: Numbers) -> str:

@@ -4,7 +4,6 @@ Sec. IV-C) and the votes, all fitted on the same samples and measured on clips t
 from __future__ import annotations
 
 import dataclasses
-import json
 import tempfile
 import warnings
 from collections.abc import Callable
@@ -19,11 +18,13 @@ from rich.console import Console
 from rich.table import Table
 
 from depthmocap.errors import InputError, missing_extra
+from depthmocap.output import check_outputs, write_json
 from depthmocap.pose.cloud import Labels
 from depthmocap.pose.collect import Collected, PoseSamples, read_samples
 from depthmocap.pose.parts import body_frame, network_inputs
 from depthmocap.pose.ridge import feature_moments, fit_ridge, grouped_folds, standardise
-from depthmocap.pose.train import CLIP
+from depthmocap.pose.train import CLIP, FEWEST_SAMPLES
+from depthmocap.settings import check_numbers
 
 #: Strengths of LASSO, for standardised features and joints in metres.
 _LASSO = np.logspace(-4, -2, 5)
@@ -54,6 +55,10 @@ class EstimatorComparison:
     seed: int = 0
     json: Path | None = None
 
+    def __post_init__(self) -> None:
+        check_numbers({}, {"--minutes": (self.minutes, 0), "--folds": (self.folds, 2)})
+        check_outputs({"--json": self.json}, {"the samples": self.samples})
+
 
 def compare_estimators(settings: EstimatorComparison, console: Console | None = None) -> dict[str, Any]:
     """Fit and measure all of them; returns mean error (cm) and share within 10 cm by estimator and number of views.
@@ -70,6 +75,8 @@ def compare_estimators(settings: EstimatorComparison, console: Console | None = 
         kept_out = np.isin(groups, list(out))
         if not kept_out.any() or kept_out.all():
             raise InputError(f"{settings.samples}: too few clips with {count} views to keep some out")
+        if (learnt := int(np.count_nonzero(~kept_out))) < FEWEST_SAMPLES:
+            raise InputError(f"{settings.samples}: {learnt} samples with {count} views to learn from are too few")
         for name, fit in (("ridge", _ridge), ("LASSO", _lasso), ("neural network", _perceptron)):
             with console.status(f"{name}, {count} views"):
                 predict = fit(features[~kept_out], joints[~kept_out], groups[~kept_out], settings)
@@ -79,8 +86,7 @@ def compare_estimators(settings: EstimatorComparison, console: Console | None = 
         numbers["votes"] = _votes(samples, out, settings, console)
     result = {"labels": settings.labels, "samples": len(samples.joints), "clips_kept_out": len(out), **numbers}
     if settings.json is not None:
-        settings.json.parent.mkdir(parents=True, exist_ok=True)
-        settings.json.write_text(json.dumps(result, indent=1) + "\n")
+        write_json(settings.json, result)
     table = Table(title=f"joint error in cm (within 10 cm), {settings.labels} labels, {len(samples.joints)} samples")
     table.add_column("estimator")
     for count in settings.views:

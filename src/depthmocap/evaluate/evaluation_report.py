@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from depthmocap.export.output import writing
+from depthmocap.output import check_outputs, write_json, writing
 from depthmocap.report.charts import joint_error_bars, precision_curve, reliability_diagram
 from depthmocap.report.metrics import JointMetrics, Reliability
 from depthmocap.report.page import Cell, ReportFigure, ReportSection, ReportTable, write_report
@@ -57,6 +56,15 @@ class Outputs:
     csv: Path | None = None
     report: Path | None = None
 
+    def __post_init__(self) -> None:
+        files = [field.name for field in dataclasses.fields(Outputs)]
+        read = {
+            f"what {name} names": value
+            for name, value in vars(self).items()
+            if isinstance(value, Path) and name not in files
+        }
+        check_outputs({f"--{name}": getattr(self, name) for name in files}, read)
+
 
 def about(settings: Outputs) -> dict[str, Any]:
     """What an evaluation's numbers depend on besides the data: the version, and all settings but its files."""
@@ -76,15 +84,6 @@ def measures(numbers: Numbers) -> dict[str, tuple[int | float, str]]:
     }
 
 
-def plain(value: Any) -> Any:
-    """The value with NaN as null, which JSON has no number for."""
-    if isinstance(value, Mapping):
-        return {key: plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(each) for each in value]
-    return None if isinstance(value, float) and not np.isfinite(value) else value
-
-
 def write_outputs(outputs: Outputs, title: str, results: Mapping[str, Numbers], document: Any = None) -> None:
     """Write the files that were asked for.
 
@@ -99,9 +98,7 @@ def write_outputs(outputs: Outputs, title: str, results: Mapping[str, Numbers], 
             with writing(path):
                 path.parent.mkdir(parents=True, exist_ok=True)
     if outputs.json is not None:
-        with writing(outputs.json):
-            text = json.dumps(plain(results if document is None else document), indent=1, ensure_ascii=False)
-            outputs.json.write_text(text + "\n", encoding="utf-8")
+        write_json(outputs.json, results if document is None else document)
     if outputs.csv is not None:
         _write_joints(outputs.csv, results)
     if outputs.report is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from depthmocap.errors import InputError, missing_extra
 from depthmocap.evaluate.label_charts import LabelExample, label_grid, region_bars, reliability_diagram
 from depthmocap.evaluate.label_measures import LEAST_PIXELS, PARTS, BorderAccuracy, Calibration, PartSwaps
 from depthmocap.frames import FrameSet, View
+from depthmocap.output import check_outputs, write_json
 from depthmocap.report.charts import confusion_picture
 from depthmocap.report.metrics import PixelAccuracy
 from depthmocap.report.page import ReportFigure, ReportSection, ReportTable, write_report
@@ -57,6 +57,9 @@ class LabelsEvaluation:
     pictures: int = 6
     json: Path | None = None
     workers: int = 1
+
+    def __post_init__(self) -> None:
+        check_outputs({"--json": self.json}, {"what --weights names": self.weights})
 
 
 @dataclasses.dataclass(eq=False)
@@ -164,8 +167,7 @@ def evaluate_labels(settings: LabelsEvaluation, console: Console | None = None) 
     }  # fmt: skip
     _write(settings.out, data, quality, numbers, shown)
     if settings.json is not None:
-        settings.json.parent.mkdir(parents=True, exist_ok=True)
-        settings.json.write_text(json.dumps(numbers, indent=1) + "\n")
+        write_json(settings.json, numbers)
     table = Table(title=f"{data}: {numbers['views']} views, network {classifier.network}")
     table.add_column("measure")
     table.add_column("value", justify="right")

@@ -18,6 +18,7 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.output import check_outputs, write_json
 
 #: Regions that a joint seen from any side may lie on; R and L are added for its side.
 ALLOWED: dict[str, tuple[str, ...]] = {
@@ -53,6 +54,9 @@ class Labels2dEvaluation:
     radius: int = 3
     json: Path | None = None
     weights: Path | None = None
+
+    def __post_init__(self) -> None:
+        check_outputs({"--json": self.json}, {"the pictures": self.folder, "what --weights names": self.weights})
 
 
 def _allowed(joint: str) -> list[int]:
@@ -120,7 +124,7 @@ def evaluate_labels2d(settings: Labels2dEvaluation, console: Console | None = No
         "on_other_side": swapped,
     }
     if settings.json is not None:
-        settings.json.write_text(json.dumps(numbers, indent=1) + "\n")
+        write_json(settings.json, numbers)
     console = console or Console(stderr=True)
     table = Table(title=f"{settings.folder.name}: {pictures} pictures, {numbers['joints']} joints")
     for heading in ("joint", "on a region of its own", "of"):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import json
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -24,6 +23,7 @@ from depthmocap.evaluate.moving import FPS, clip_motions, moving_frames, prior_m
 from depthmocap.evaluate.temporal_metrics import TemporalMetrics, temporal_metrics
 from depthmocap.evaluate.tracks import Track, TrackStore, estimate_track
 from depthmocap.frames import Pose
+from depthmocap.output import check_outputs, write_json
 from depthmocap.pose.estimate import load_estimator
 from depthmocap.pose.filter import PoseFilter
 from depthmocap.pose.sides import LIMBS, limb_joints
@@ -90,6 +90,7 @@ class MotionEvaluation:
 
     def __post_init__(self) -> None:
         check_seed(self.seed)
+        check_outputs({"--json": self.json, "--report": self.report}, {"what --weights names": self.weights})
         if min(self.sequences, self.views) < 1 or not 1 <= self.seconds <= 60 or not self.sensors:
             raise InputError("--sequences, --views and --sensors take at least 1, --seconds 1 to 60")
         if not 0 <= self.sides_wrong < 1:
@@ -125,12 +126,10 @@ def evaluate_motion(settings: MotionEvaluation, console: Console | None = None) 
         }
         shown = ", ".join(f"{name} {growth[name]:+.1%}" for name in ("none", f"{AUTO}, steady bones"))
         console.print(f"error {title}: {shown}")
-    for path in (settings.json, settings.report):
-        if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
     if settings.json is not None:
-        settings.json.write_text(json.dumps(numbers, indent=1) + "\n")
+        write_json(settings.json, numbers)
     if settings.report is not None:
+        settings.report.parent.mkdir(parents=True, exist_ok=True)
         write_report(settings.report, "Joints over time", _sections(numbers))
     return numbers
 

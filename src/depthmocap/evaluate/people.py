@@ -4,7 +4,6 @@ as alone?"""
 from __future__ import annotations
 
 import dataclasses
-import json
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -25,6 +24,7 @@ from depthmocap.errors import InputError
 from depthmocap.evaluate.encounter import Encounter, Moment
 from depthmocap.evaluate.stories import Beside, Empty, Meeting, Story, Visits
 from depthmocap.frames import FrameSet
+from depthmocap.output import check_outputs, write_json
 from depthmocap.people.segmenter import PeopleSegmenter, SeenPerson
 from depthmocap.people.track import GONE_S
 from depthmocap.pipeline import Pipeline, Segmenter
@@ -68,6 +68,7 @@ class PeopleEvaluation:
 
     def __post_init__(self) -> None:
         check_seed(self.seed)
+        check_outputs({"--json": self.json})
         if min(self.scenes, self.cameras) < 1 or not 1 <= self.rate_hz <= 60 or not 0.2 <= self.apart_m <= 1:
             raise InputError("--scenes and --cameras take at least 1, --rate-hz 1 to 60, --apart-m 0.2 to 1")
 
@@ -128,8 +129,7 @@ def evaluate_people(settings: PeopleEvaluation, console: Console | None = None) 
         numbers["first person's joints, cm"] = {name: _error_row(found) for name, found in errors.items()}
     _tell(numbers, console)
     if settings.json is not None:
-        settings.json.parent.mkdir(parents=True, exist_ok=True)
-        settings.json.write_text(json.dumps(numbers, indent=1) + "\n")
+        write_json(settings.json, numbers)
     return numbers
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,10 +13,9 @@ from rich.console import Console
 
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
-from depthmocap.evaluate.evaluation_report import plain
 from depthmocap.evaluate.reproduce_real import RealPart, reproduce_eval, reproduce_mhad
 from depthmocap.evaluate.reproduce_ubc3v import Ubc3vPart, reproduce_ubc3v
-from depthmocap.export.output import writing
+from depthmocap.output import write_json, writing
 from depthmocap.report.page import ReportSection, write_report
 from depthmocap.settings import plain_settings
 
@@ -97,8 +95,7 @@ def reproduce(settings: Reproduction, console: Console | None = None) -> dict[st
         [*sections, ReportSection("How it was measured", notes)],
     )
     document = {"settings": plain_settings(settings), "notes": notes, **numbers}
-    with writing(settings.out / "numbers.json"):
-        (settings.out / "numbers.json").write_text(json.dumps(plain(document), indent=1) + "\n", encoding="utf-8")
+    write_json(settings.out / "numbers.json", document)
     console.print(f"wrote {settings.out / 'report.html'}", markup=False, highlight=False)
     return numbers
 

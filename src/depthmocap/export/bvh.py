@@ -21,9 +21,9 @@ from depthmocap.export.bone_rotations import (
     joint_positions,
     rest_offsets,
 )
-from depthmocap.export.output import writing
 from depthmocap.export.timeline import Y_UP_FROM_Z_UP, even_frames, timeline
 from depthmocap.frames import Pose
+from depthmocap.output import writing
 
 _CM = 100.0
 _ROTATIONS = "Zrotation Xrotation Yrotation"

@@ -14,8 +14,8 @@ from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
-from depthmocap.export.output import writing
 from depthmocap.frames import Pose
+from depthmocap.output import writing
 
 TIME = "time_s"
 _POSITION_COLUMNS = [f"{joint}_{axis}" for joint in JOINTS for axis in "xyz"]

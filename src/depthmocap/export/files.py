@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -16,6 +14,7 @@ from depthmocap.export.bvh import write_bvh
 from depthmocap.export.csv import CsvWriter, read_csv
 from depthmocap.export.trc import write_trc
 from depthmocap.frames import Pose
+from depthmocap.output import write_json
 
 #: Files of somebody who was not seen for longer than this are closed (s): people have their numbers back for a minute.
 CLOSED_AFTER_S = 65.0
@@ -61,8 +60,7 @@ class PoseFiles:
         self.summary["interrupted"] = self.summary.get("interrupted", False) or kind is not None
         if self._last_ns is not None:
             self._animate()
-        text = json.dumps(plain_json(self.summary), indent=1)
-        (self._folder / "summary.json").write_text(text + "\n", encoding="utf-8")
+        write_json(self._folder / "summary.json", self.summary)
 
     def _animate(self) -> None:
         # Read back instead of kept: hours of poses do not belong into memory.
@@ -121,12 +119,3 @@ class PeopleFiles:
     ) -> None:
         for files in self._files.values():
             files.__exit__(kind, error, trace)
-
-
-def plain_json(value: Any) -> Any:
-    """The value with NaN as null, which JSON has no number for."""
-    if isinstance(value, dict):
-        return {key: plain_json(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain_json(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

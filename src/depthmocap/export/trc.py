@@ -11,9 +11,9 @@ from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
-from depthmocap.export.output import writing
 from depthmocap.export.timeline import Y_UP_FROM_Z_UP, timeline
 from depthmocap.frames import Pose
+from depthmocap.output import writing
 
 _KEYS = (
     "DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames",

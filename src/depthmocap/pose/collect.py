@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import itertools
-import json
 import zipfile
 from collections.abc import Generator, Sequence
 from pathlib import Path
@@ -24,7 +23,7 @@ from depthmocap.frames import View
 from depthmocap.pose.cloud import LABELS, LabelledView, Labels, label_people, merge_views
 from depthmocap.pose.features import FEATURE_COUNT, FeatureFrame, cloud_features
 from depthmocap.pose.parts import PART_COLUMNS, PART_COUNT, part_statistics
-from depthmocap.settings import check_seed, plain_settings
+from depthmocap.settings import check_seed, claim_folder
 from depthmocap.synth.output.stream import stream
 from depthmocap.synth.sample import ANY_SENSOR, CameraRange, Recipe, Sample
 
@@ -86,13 +85,8 @@ def collect(settings: PoseSamples, folder: Path, console: Console | None = None)
     check_seed(settings.seed)
     if not settings.views or min(settings.views) < 1 or settings.samples < 1:
         raise InputError("--samples and every number of --views must be at least 1")
-    folder.mkdir(parents=True, exist_ok=True)
     # What has no say in the samples may differ when they are resumed.
-    kept = {k: v for k, v in plain_settings(settings).items() if k not in ("samples", "workers")}
-    about = folder / "settings.json"
-    if about.exists() and json.loads(about.read_text()) != json.loads(json.dumps(kept)):
-        raise InputError(f"{folder} holds samples of other settings: remove it, or give another --out")
-    about.write_text(json.dumps(kept, indent=1) + "\n")
+    claim_folder(folder, settings, "samples", ("samples", "workers"))
 
     files = [folder / f"{first:06d}.npz" for first in range(0, settings.samples, _CHUNK)]
     done = next((i for i, file in enumerate(files) if not file.exists()), len(files))

@@ -15,12 +15,13 @@ from depthmocap.errors import InputError, missing_extra
 from depthmocap.pose.cloud import LABELS, Labels
 from depthmocap.pose.collect import Collected, PoseSamples, collect, read_samples, with_parts_of
 from depthmocap.pose.ridge import RidgeBank, fit_ridge
-from depthmocap.settings import plain_settings
+from depthmocap.settings import check_numbers, plain_settings
 
 #: Bound of standardised features of network labels, in deviations. Mislabelled specks move a region's minimum and
 #: maximum: with one view it took a tenth off the mean error, with three it changed nothing. True labels have no specks.
 CLIP = 3.0
-_FEWEST_SAMPLES = 20
+#: A regressor is fitted on.
+FEWEST_SAMPLES = 20
 
 Estimators = Literal["all", "votes", "ridge"]
 
@@ -50,6 +51,13 @@ class PoseTraining:
     start: Path | None = None
     bfloat16: bool | None = None
 
+    def __post_init__(self) -> None:
+        check_numbers({"--minutes": self.minutes, "--learning-rate": self.learning_rate}, {})
+        if self.estimators != "votes" and self.source.samples < FEWEST_SAMPLES:
+            raise InputError(
+                f"--samples must be at least {FEWEST_SAMPLES} to fit a regressor, got {self.source.samples}"
+            )
+
 
 def train_pose(settings: PoseTraining, console: Console | None = None) -> list[Path]:
     """Collect the samples and fit the estimators; returns the files written.
@@ -63,9 +71,8 @@ def train_pose(settings: PoseTraining, console: Console | None = None) -> list[P
         except ModuleNotFoundError:
             raise missing_extra("torch", "train") from None
     console = console or Console(stderr=True)
-    settings.out.mkdir(parents=True, exist_ok=True)
-    (settings.out / "settings.json").write_text(json.dumps(plain_settings(settings), indent=1) + "\n")
     samples = collect(settings.source, settings.out / "samples", console)
+    (settings.out / "settings.json").write_text(json.dumps(plain_settings(settings), indent=1) + "\n")
     written = []
     if settings.estimators != "votes":
         written += [fit_bank(samples, labels, settings, console) for labels in LABELS if _has(samples, labels)]
@@ -89,9 +96,10 @@ def fit_bank(samples: Collected, labels: Labels, settings: PoseTraining, console
     models = []
     for count in settings.source.views:
         features, joints, groups = samples.features[labels, count]
-        if len(features) < _FEWEST_SAMPLES:
+        if len(features) < FEWEST_SAMPLES:
             raise InputError(
-                f"too few samples with {count} views to fit a regressor: give more --samples or fewer --views"
+                f"{len(features)} samples with {count} views are too few to fit a regressor, which needs "
+                f"{FEWEST_SAMPLES}: give more --samples or fewer --views"
             )
         frame = settings.source.frame
         model = fit_ridge(

@@ -23,7 +23,6 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from depthmocap.body.regions import REGION_COUNT
 from depthmocap.body.skeleton import MIRROR as MIRRORED_JOINTS
 from depthmocap.classify.train import load_weights
-from depthmocap.errors import InputError
 from depthmocap.geometry.transforms import rotation_between
 from depthmocap.pose.cloud import LABELS, Labels
 from depthmocap.pose.collect import Collected
@@ -45,6 +44,7 @@ from depthmocap.pose.parts import (
 from depthmocap.pose.ridge import grouped_folds
 from depthmocap.pose.votes_network import VotesNet
 from depthmocap.precision import in_bfloat16
+from depthmocap.settings import check_numbers
 
 #: A joint is right within this (metres), as the paper counts: what the confidence foretells.
 RIGHT_M = 0.1
@@ -195,8 +195,7 @@ def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Pat
     Raises:
         InputError: for samples of fewer than two groups (motion clips), or weights that cannot be read.
     """
-    if settings.minutes <= 0:
-        raise InputError(f"--minutes must be above 0, got {settings.minutes}")
+    check_numbers({"--minutes": settings.minutes, "--learning-rate": settings.learning_rate}, {})
     torch.manual_seed(seed)
     rng = np.random.default_rng([seed, 11])
     usable: list[Labels] = [k for k in LABELS if samples.parts[k][..., 0].any()]

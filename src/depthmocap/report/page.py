@@ -16,7 +16,7 @@ from numpy import ndarray
 from PIL import Image
 
 from depthmocap.errors import InputError
-from depthmocap.export.output import writing
+from depthmocap.output import writing
 
 Cell = str | int | float | None
 

@@ -16,9 +16,9 @@ from PIL import Image, ImageDraw, ImageFont
 from depthmocap.body.regions import DISPLAY_COLOURS, REGION_COUNT
 from depthmocap.body.skeleton import BONES, JOINT_INDEX
 from depthmocap.errors import InputError
-from depthmocap.export.output import writing
 from depthmocap.frames import View
 from depthmocap.geometry import z_up_from
+from depthmocap.output import writing
 
 #: The paper's colours (Fig. 7), lightened for a dark ground.
 TRUTH_COLOUR = (92, 160, 255)

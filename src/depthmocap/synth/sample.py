@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -140,6 +140,9 @@ class Recipe:
     hands_on_body: bool = False
 
     def __post_init__(self) -> None:
+        for option, value, known in (("subset", self.subset, get_args(Subset)), ("split", self.split, get_args(Split))):
+            if value not in known:
+                raise InputError(f"--{option} takes {', '.join(known)}, got {value!r}")
         if self.views < 1:
             raise InputError(f"--views must be at least 1, got {self.views}")
         if not self.sensors:

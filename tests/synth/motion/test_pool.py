@@ -319,6 +319,8 @@ def test_a_pool_depends_on_its_settings_alone(tmp_path: Path) -> None:
         ({"noise_rad": float("nan")}, "--noise-rad"),
         ({"seed": -1}, "--seed must be at least 0"),
         ({"out": Path("pool.pkl")}, r"\.npz"),
+        ({"preset": "paper", "count": 50}, "--preset paper tells --count"),
+        ({"preset": "paper", "easy": 5}, "--preset paper tells --count and --easy"),
     ],
 )
 def test_impossible_settings(options: dict, message: str) -> None:

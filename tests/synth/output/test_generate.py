@@ -207,10 +207,26 @@ def test_settings_that_made_nothing_do_not_bind(tmp_path: Path, monkeypatch: pyt
 def test_presets_make_three_splits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert generate_module._PRESETS["paper-inter"] == ("inter", 1_300_000)
     monkeypatch.setitem(generate_module._PRESETS, "paper-inter", ("inter", 10))
-    folder = run(tmp_path, preset="paper-inter")
+    recipe = dataclasses.replace(RECIPE, subset="hard", split="train")
+    folder = run(tmp_path, samples=1000, recipe=recipe, preset="paper-inter")
     assert folder == tmp_path / "inter-pose"
     found = {split: len(Section(folder / split / "1")) for split in ("train", "valid", "test")}
     assert found == {"train": 8, "valid": 1, "test": 1}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"samples": 10}, "--samples: leave out 10"),
+        ({"recipe": dataclasses.replace(RECIPE, subset="hard")}, "--split: leave out valid"),
+        ({"recipe": dataclasses.replace(RECIPE, split="train")}, "--subset: leave out easy"),
+    ],
+)
+def test_what_a_preset_tells_is_not_told_otherwise(tmp_path: Path, options: dict, message: str) -> None:
+    usual = {"samples": 1000, "recipe": dataclasses.replace(RECIPE, subset="hard", split="train")}
+    with pytest.raises(InputError, match=f"--preset paper-easy tells {message}"):
+        run(tmp_path, preset="paper-easy", **usual | options)
+    assert not list(tmp_path.iterdir())
 
 
 def test_numbers_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

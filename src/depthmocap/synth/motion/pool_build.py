@@ -17,7 +17,7 @@ from rich.table import Table
 
 from depthmocap.body.posture import mirror_posture
 from depthmocap.errors import InputError
-from depthmocap.export.output import writing
+from depthmocap.output import writing
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.motion.clips.skeletons import read_mapping
 from depthmocap.synth.motion.cover import Cover, farthest_points
@@ -41,7 +41,7 @@ class PoolBuild:
         out: the .npz file to write; give it to --postures of other commands.
         count: postures, of all splits together.
         easy: of these, at least so many of walking and running, if there are such clips.
-        preset: "paper": 100,000 postures, 10,000 of them easy, as in the paper.
+        preset: "paper": 100,000 postures, 10,000 of them easy, as in the paper, in place of --count and --easy.
         shares: of the postures, for train, valid and test. Clips, not postures, are divided: by their names.
         spacing_m: no two recorded postures of the pool are nearer than this, in the joint that differs most.
         fill: make up what the clips do not give: mirrored, recombined and perturbed postures.
@@ -68,6 +68,8 @@ class PoolBuild:
         if self.out.suffix != ".npz" or self.out.is_dir():
             raise InputError(f"--out must be a file that ends in .npz, got {self.out}")
         if self.preset == "paper":
+            if (self.count, self.easy) != (100_000, 0) and (self.count, self.easy) != (100_000, 10_000):
+                raise InputError(f"--preset paper tells --count and --easy: leave out {self.count} and {self.easy}")
             object.__setattr__(self, "count", 100_000)
             object.__setattr__(self, "easy", 10_000)
         if self.count < 1 or not 0 <= self.easy <= self.count:

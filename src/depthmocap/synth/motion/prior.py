@@ -12,7 +12,7 @@ from sklearn.mixture import GaussianMixture
 
 from depthmocap.body.posture import mirror_posture
 from depthmocap.errors import InputError
-from depthmocap.export.output import writing
+from depthmocap.output import writing
 from depthmocap.settings import check_seed
 from depthmocap.synth.motion.mocap import Clip, without_heading
 from depthmocap.synth.motion.postures import load_clips, thin

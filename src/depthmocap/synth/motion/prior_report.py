@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from rich.table import Table
 from depthmocap.body.model import BodyModel, Phenotype
 from depthmocap.errors import InputError
 from depthmocap.kernels.cover import nearest_distances
+from depthmocap.output import check_outputs, write_json
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.motion.limits import within_limits
 from depthmocap.synth.motion.mocap import Clip, without_heading
@@ -58,6 +58,7 @@ class PostureReport:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        check_outputs({"--json": self.json})
         if self.samples < 10:
             raise InputError(f"--samples must be at least 10, got {self.samples}")
         check_seed(self.seed)
@@ -81,8 +82,7 @@ def report_postures(settings: PostureReport) -> dict[str, Any]:
         report["easy" if simple else "all"] = rows
         console.print(_table("walking and running" if simple else "all postures", rows))
     if settings.json:
-        settings.json.parent.mkdir(parents=True, exist_ok=True)
-        settings.json.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        write_json(settings.json, report)
     return report
 
 

@@ -21,7 +21,7 @@ from scipy.spatial import KDTree
 
 from depthmocap.body.regions import REGION_COUNT, REGION_NAMES
 from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
-from depthmocap.export.output import writing
+from depthmocap.output import writing
 from depthmocap.synth.sample import Sample
 
 _MOST_SAMPLES = 1024

@@ -28,7 +28,7 @@ from rich.text import Text
 from depthmocap import __version__
 from depthmocap.cores import usable_cores
 from depthmocap.errors import InputError
-from depthmocap.export.output import writing
+from depthmocap.output import writing
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.output.card import CardRow, card_stride, write_card
 from depthmocap.synth.output.lock import folder_lock
@@ -92,6 +92,13 @@ def generate(settings: SynthSettings, console: Console | None = None) -> Path:
     if settings.workers is not None and settings.workers < 0:
         raise InputError(f"--workers must be at least 0, got {settings.workers}")
     check_seed(settings.seed)
+    if settings.preset is not None:
+        usual = SynthSettings(settings.out)
+        for option in ("subset", "split"):
+            if (value := getattr(settings.recipe, option)) != getattr(usual.recipe, option):
+                raise InputError(f"--preset {settings.preset} tells --{option}: leave out {value}")
+        if settings.samples != usual.samples:
+            raise InputError(f"--preset {settings.preset} tells --samples: leave out {settings.samples}")
     if settings.format == "ubc3v":
         _check_storable(settings.recipe)
     console = console or Console(stderr=True)

@@ -16,8 +16,8 @@ from rich.console import Console
 
 from depthmocap.body.model import BodyModel
 from depthmocap.errors import InputError
-from depthmocap.export.output import writing
 from depthmocap.geometry.transforms import look_at
+from depthmocap.output import writing
 from depthmocap.settings import check_seed
 from depthmocap.synth.motion.perform import pose_sequence
 from depthmocap.synth.motion.sequence import demo_motion

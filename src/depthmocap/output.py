@@ -1,0 +1,73 @@
+"""Files that commands write: seen to before the work is done, errors in the user's words."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from depthmocap.errors import InputError
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn an ``OSError`` within into an ``InputError`` that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None] | None = None) -> None:
+    """See that files which a command shall write do not take the place of one another or of what it reads, and that
+    there is room for them to be written, before it works for hours.
+
+    Args:
+        outputs: by option, such as ``"--out"``.
+        inputs: what is read, by the words for it, such as ``"the recording"``; nothing in a folder that is read is
+            written over.
+
+    Raises:
+        InputError: when they do.
+    """
+    given = {words: path.resolve() for words, path in (inputs or {}).items() if path is not None}
+    taken = {path: words for words, path in given.items()}
+    for option, path in outputs.items():
+        if path is None:
+            continue
+        place = path.resolve()
+        if words := taken.get(place):
+            raise InputError(f"{option} must not be {words}, got {path}: choose another name")
+        if place.is_dir():
+            raise InputError(f"{option} must be a file, got the folder {path}")
+        for words, folder in given.items():
+            if place.is_relative_to(folder) and place.exists():
+                raise InputError(f"{option} must not be a file of {words}, got {path}: choose another name")
+        taken[place] = f"the file of {option}"
+        there = next(parent for parent in place.parents if parent.exists())
+        with writing(path):
+            tempfile.TemporaryFile(dir=there).close()
+
+
+def plain_json(value: Any) -> Any:
+    """The value with NaN as null, which JSON has no number for."""
+    if isinstance(value, Mapping):
+        return {key: plain_json(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_json(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write numbers and texts, NaN as null, and make the folder.
+
+    Raises:
+        InputError: when the file cannot be written.
+    """
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(plain_json(value), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
