@@ -7,7 +7,7 @@ import functools
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from jaxtyping import Float, UInt16
 from numpy import ndarray
@@ -232,6 +232,8 @@ def live(
 ) -> Iterator[Pose]:
     """Poses of one person as cameras deliver; recordings play at their own speed.
 
+    Sets are left out while the machine is too slow: :class:`Replay` goes through a recording as a whole.
+
     Args:
         sources: cameras as ``depthmocap record`` names them, recordings, or opened by yourself.
         rig: where the cameras stand, or its rig.json; recordings know.
@@ -240,10 +242,8 @@ def live(
     Raises:
         InputError: when a source is not what it says, or no camera can be opened.
     """
-    make = functools.partial(load_pipeline, segment=segment, smooth=smooth, bones=bones, weights=weights)
-    with _open(sources, rig, make) as capture:
-        for each in capture:
-            yield each.pose
+    for each in _captured(sources, rig, segment=segment, smooth=smooth, bones=bones, weights=weights):
+        yield each.pose
 
 
 def live_people(
@@ -260,20 +260,18 @@ def live_people(
     Raises:
         InputError: see :func:`live`, or when ``people`` is less than one.
     """
-    make = functools.partial(load_pipeline, segment=segment, smooth=smooth, bones=bones, weights=weights, people=people)
-    with _open(sources, rig, make) as capture:
-        for each in capture:
-            yield {person.number: person.pose for person in each.result.people}
+    for each in _captured(sources, rig, segment=segment, smooth=smooth, bones=bones, weights=weights, people=people):
+        yield {person.number: person.pose for person in each.result.people}
 
 
-def _open(
-    sources: Sequence[str | Path | DepthSource],
-    rig: Rig | Path | None,
-    make_pipeline: PipelineMaker,
-) -> LiveCapture:
+def _captured(
+    sources: Sequence[str | Path | DepthSource], rig: Rig | Path | None, **settings: Any
+) -> Iterator[LivePose]:
+    """What comes of the sources by the pipeline of these settings (see ``load_pipeline``)."""
     pace = Pace(1.0)
     opened: list[DepthSource] = []
     for source in sources:
         opened += [source] if isinstance(source, DepthSource) else make_sources([str(source)], pace)
     rig = load_rig(rig) if isinstance(rig, Path) else rig
-    return LiveCapture(opened, rig, make_pipeline=make_pipeline)
+    with LiveCapture(opened, rig, make_pipeline=functools.partial(load_pipeline, **settings)) as capture:
+        yield from capture
