@@ -1,6 +1,7 @@
 """synth, train and evaluate, end to end on tiny data."""
 
 import dataclasses
+import io
 import json
 
 import numpy as np
@@ -18,6 +19,7 @@ from depthmocap.cli import main
 from depthmocap.datasets.ubc3v import Section, sections
 from depthmocap.evaluate.synthetic import measure
 from depthmocap.evaluate.ubc3v import Ubc3vEvaluation, evaluate_ubc3v
+from depthmocap.pose import votes_train
 from depthmocap.pose.collect import PoseSamples, collect, read_samples, with_parts_of
 from depthmocap.pose.estimate import load_estimator
 from depthmocap.pose.ridge import RidgeBank
@@ -226,6 +228,49 @@ def test_train_classifier_resumes_and_exports(root, tmp_path, monkeypatch):
     found = Classifier(onnx)._session.run(None, {"windows": windows.numpy()})
     for ours, theirs in zip(found, expected, strict=True):
         np.testing.assert_allclose(ours, theirs.numpy(), atol=0.02 * theirs.abs().max())
+
+
+def test_a_run_that_is_interrupted_loses_no_step(root, tmp_path, monkeypatch):
+    skip_export(monkeypatch)
+    settings = ClassifierTraining(
+        tmp_path / "run", data=str(root), images=32, batch=8, workers=0, valid_every=32, valid_images=2
+    )
+    asked = iter(range(100))
+
+    def interrupted(*_):
+        if next(asked) == 2:
+            raise KeyboardInterrupt
+        return False
+
+    with monkeypatch.context() as patch:
+        patch.setattr(train, "joint_loss", lambda found, places: found.sum() * int(interrupted()))
+        with pytest.raises(KeyboardInterrupt):
+            train_classifier(settings)
+    assert torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["done"] == 16
+    train_classifier(settings)
+    assert [json.loads(row)["step"] for row in (settings.out / "history.jsonl").read_text().splitlines()] == [32]
+
+
+def test_votes_that_are_interrupted_are_kept(root, tmp_path, monkeypatch):
+    source = PoseSamples(str(root), subset="hard", samples=24, views=(2,))
+    settings = PoseTraining(tmp_path / "run", source, "votes", minutes=30.0)
+    steps = iter(range(100))
+    original = votes_train.augment
+
+    def interrupted(*arguments):
+        if next(steps) == 3:
+            raise KeyboardInterrupt
+        return original(*arguments)
+
+    monkeypatch.setattr(votes_train, "augment", interrupted)
+    told = Console(file=io.StringIO())
+    (path,) = train_pose(settings, told)
+    assert path.exists() and path.with_suffix(".safetensors").exists()
+    assert "stopped: what was learnt until now is written" in told.file.getvalue()
+    steps = iter([3])  # at once
+    with pytest.raises(KeyboardInterrupt):
+        train_pose(dataclasses.replace(settings, out=tmp_path / "none"), QUIET)
+    assert not (tmp_path / "none" / "votes.onnx").exists()
 
 
 def test_train_classifier_on_the_fly(body_model, tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ import dataclasses
 import json
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -39,6 +39,8 @@ _JOINT_WEIGHT, _SURPRISE = 4.0, 0.01
 _CALIBRATION = 64
 #: Learning rate and weight decay of each, where none are given.
 _RATES: dict[Optimiser, tuple[float, float]] = {"adamw": (2e-3, 0.02), "sgd": (0.03, 5e-4)}
+#: A run that is killed loses no more than this.
+_SAVE_EVERY_S = 300.0
 #: Settings that may change when a run is gone on with: how long, where and how fast it learns, and what is exported.
 _FREE = (
     "out", "images", "minutes", "blend", "postures", "workers", "device", "bfloat16", "valid_every", "valid_images",
@@ -237,6 +239,8 @@ def train_classifier(settings: ClassifierTraining) -> Path:
         batches = training_batches(loader, settings.batch, settings.seed + done, "mirror" not in settings.without)
 
     def save() -> None:
+        nonlocal saved
+        saved = time.monotonic()
         partial = checkpoint.with_suffix(".tmp")
         parts = {"network": network, "average": average, "optimiser": optimiser}
         state = {name: part.state_dict() for name, part in parts.items()}
@@ -246,7 +250,8 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     running: list[float] = []
     hits: list[float] = []
-    with Progress(*columns) as progress:
+    saved = time.monotonic()
+    with Progress(*columns) as progress, _at_interruption(save):
         task = progress.add_task("training", total=1.0)
         progress.update(task, completed=_share(settings, done, spent))
         clock = time.monotonic()
@@ -298,6 +303,8 @@ def train_classifier(settings: ClassifierTraining) -> Path:
                 progress.console.print({k: round(v, 4) for k, v in row.items()})
                 save()
                 _write_history(out, history)
+            elif time.monotonic() - saved > _SAVE_EVERY_S:
+                save()
     save()
     network.load_state_dict(average.module.state_dict())
     if settings.blend:
@@ -311,6 +318,16 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     if settings.network != "paper":
         quantise(path, [data[i].inputs for i in range(_CALIBRATION)], out / "classifier_int8.onnx")
     return path
+
+
+@contextlib.contextmanager
+def _at_interruption(save: Callable[[], None]) -> Iterator[None]:
+    """Save when Ctrl-C ends what is within."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        save()
+        raise
 
 
 def load_weights(network: nn.Module, path: Path, *, grow: bool = False) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import dataclasses
 import json
 import math
 import time
 import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -190,7 +192,7 @@ def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Pat
     """Train on collected samples; writes votes.onnx and votes.safetensors and returns the former's path.
 
     The objective is the mean distance of the joints, and the cross-entropy of the probability of an error within
-    ``RIGHT_M``.
+    ``RIGHT_M``. Ctrl-C ends training early, and what was learnt is written.
 
     Raises:
         InputError: for samples of fewer than two groups (motion clips), or weights that cannot be read.
@@ -215,7 +217,7 @@ def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Pat
     history = []
     start = told = time.monotonic()
     step, running = 0, []
-    with Progress(console=console) as progress:
+    with Progress(console=console) as progress, _early_end(lambda: step > 0, console):
         task = progress.add_task("votes", total=1.0)
         while (share := (time.monotonic() - start) / 60 / settings.minutes) < 1:
             chosen = rng.choice(train, _BATCH)
@@ -258,6 +260,17 @@ def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Pat
     save_file({k: v.contiguous() for k, v in half.items()}, out / "votes.safetensors")
     (out / "votes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in history))
     return export_votes(network, out / "votes.onnx")
+
+
+@contextlib.contextmanager
+def _early_end(begun: Callable[[], bool], console: Console) -> Iterator[None]:
+    """Let Ctrl-C end what is within, and nothing else, if it has begun."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if not begun():
+            raise
+        console.print("stopped: what was learnt until now is written, and --start goes on from it")
 
 
 def export_votes(network: nn.Module, path: Path) -> Path:
