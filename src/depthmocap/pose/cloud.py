@@ -16,6 +16,7 @@ from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.kernels.box import box_of
 from depthmocap.kernels.cloud import unproject_labelled
+from depthmocap.pose.mirrored import undo_mirrored
 
 if TYPE_CHECKING:
     from depthmocap.classify.runtime import Classifier
@@ -70,12 +71,14 @@ def label_people(views: Sequence[View], classifier: Classifier) -> list[Labelled
 def merge_views(parts: Sequence[LabelledView]) -> LabelledCloud:
     """Labelled pixels of all views as points of one world, view after view in row-major order.
 
-    Pixels without a finite depth above 0, and those with a label other than 1–43 (background 0, unknown 255), are left
+    A view that takes left for right is put right first, where the others tell (``mirrored.undo_mirrored``). Pixels
+    without a finite depth above 0, and those with a label other than 1–43 (background 0, unknown 255), are left
     out.
 
     Raises:
         InputError: when the depth, labels, weights or (for a lens with distortion) camera of a view differ in shape.
     """
+    parts = undo_mirrored(parts)
     most = sum(int(np.count_nonzero(part.labels)) for part in parts)
     points_world = np.empty((most, 3), np.float32)
     all_labels, all_weights = np.empty(most, np.uint8), np.empty(most, np.float32)
