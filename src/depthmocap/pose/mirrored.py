@@ -36,7 +36,7 @@ def undo_mirrored(parts: Sequence[LabelledView]) -> list[LabelledView]:
     stay as they are.
     """
     parts = list(parts)
-    joints = {i: part.joints for i, part in enumerate(parts) if _tells(part)}
+    joints = {i: told for i, part in enumerate(parts) if (told := _told(part)) is not None}
     if len(joints) < 2:
         return parts
     first = min(joints, key=lambda i: float(joints[i][_SIDED, 3].mean()))
@@ -55,8 +55,10 @@ def undo_mirrored(parts: Sequence[LabelledView]) -> list[LabelledView]:
     return parts
 
 
-def _tells(part: LabelledView) -> bool:
-    return part.joints is not None and part.weights is not None and bool(np.isfinite(part.joints[_SIDED]).all())
+def _told(part: LabelledView) -> Float[ndarray, "18 4"] | None:
+    """Where a view that knows how sure it is takes the joints to be."""
+    known = part.joints is not None and part.weights is not None and np.isfinite(part.joints[_SIDED]).all()
+    return part.joints if known else None
 
 
 def _apart(joints: Float[ndarray, "18 4"], others: Float[ndarray, "18 4"]) -> float:
