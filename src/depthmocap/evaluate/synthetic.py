@@ -71,7 +71,7 @@ def measure(
         if not seen or frame.true_joints is None:
             continue
         most = max(most, len(seen))
-        digest.update(np.round(frame.true_joints * 1e4).astype("<i4").tobytes())
+        digest.update(np.nan_to_num(np.round(frame.true_joints * 1e4)).astype("<i4").tobytes())
         start = time.perf_counter()
         parts: list[LabelledView]
         if classifier is None:

@@ -66,5 +66,7 @@ def _apart(joints: Float[ndarray, "18 4"], others: Float[ndarray, "18 4"]) -> fl
 
 
 def _sureness(part: LabelledView) -> float:
-    assert part.weights is not None
-    return max(float(part.weights[(part.labels > 0) & (part.labels < len(MIRRORED_REGIONS))].mean()) - GUESS, _LEAST)
+    labelled = (part.labels > 0) & (part.labels < len(MIRRORED_REGIONS))
+    if part.weights is None or not labelled.any():
+        return _LEAST
+    return max(float(part.weights[labelled].mean()) - GUESS, _LEAST)
