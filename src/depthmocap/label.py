@@ -18,6 +18,7 @@ from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.output import check_outputs
+from depthmocap.settings import check_above_0
 
 #: Focal length as a share of the width where none is given: a horizontal field of view of 70°, as Kinect 2's.
 _FOCAL_SHARE = 0.715
@@ -58,9 +59,7 @@ def _preview_path(settings: LabelSettings) -> Path | None:
 
 
 def _check(settings: LabelSettings) -> None:
-    for option, value in (("--fx", settings.fx), ("--fy", settings.fy), ("--depth-unit", settings.depth_unit)):
-        if value is not None and not 0 < value < math.inf:
-            raise InputError(f"{option} must be finite and above 0, got {value}")
+    check_above_0({"--fx": settings.fx, "--fy": settings.fy, "--depth-unit": settings.depth_unit})
     for option, value in (("--cx", settings.cx), ("--cy", settings.cy)):
         if value is not None and not math.isfinite(value):
             raise InputError(f"{option} must be finite, got {value}")

@@ -32,19 +32,18 @@ def check_seed(seed: int) -> None:
         raise InputError(f"--seed must be at least 0, got {seed}")
 
 
-def check_numbers(above: Mapping[str, float | None], at_least: Mapping[str, tuple[float | None, float]]) -> None:
-    """Raise InputError unless numbers are finite and within bounds; None is left out.
-
-    Args:
-        above: by option, numbers that must be above 0.
-        at_least: by option, numbers and the least that each may be.
-    """
-    for option, value in above.items():
+def check_above_0(numbers: Mapping[str, float | None]) -> None:
+    """Raise InputError unless numbers, by option, are finite and above 0; None is left out."""
+    for option, value in numbers.items():
         if value is not None and not 0 < value < math.inf:
-            raise InputError(f"{option} must be finite and above 0, got {value:g}")
-    for option, (value, least) in at_least.items():
+            raise InputError(f"{option} must be finite and above 0, got {value}")
+
+
+def check_at_least(least: int, numbers: Mapping[str, float | None]) -> None:
+    """Raise InputError unless numbers, by option, are finite and at least so much; None is left out."""
+    for option, value in numbers.items():
         if value is not None and not least <= value < math.inf:
-            raise InputError(f"{option} must be finite and at least {least:g}, got {value:g}")
+            raise InputError(f"{option} must be finite and at least {least}, got {value}")
 
 
 def claim_folder(folder: Path, settings: Any, what: str, free: Collection[str]) -> None:

@@ -52,3 +52,5 @@ def _mirror(name: str) -> str:
 
 #: ``joints[MIRROR]`` exchanges left and right.
 MIRROR = np.array([JOINT_INDEX[_mirror(name)] for name in JOINTS])
+#: Which joints are of one side; the others are in the middle.
+SIDED = np.arange(len(JOINTS)) != MIRROR

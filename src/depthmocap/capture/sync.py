@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import collections
 import dataclasses
-import math
 import statistics
 from collections.abc import Mapping
 
 from depthmocap.capture.clock import ClockTracker
 from depthmocap.capture.source import DepthFrame
 from depthmocap.errors import InputError
+from depthmocap.settings import check_above_0, check_at_least
 
 #: The last so many frames count for rates and strides, and are compared for duplicates.
 RECENT = 30
@@ -126,13 +126,11 @@ class Synchroniser:
         """
         self.settings = settings or SyncSettings()
         s = self.settings
-        if not 0 < s.rate_hz < math.inf:
-            raise InputError(f"rate_hz must be finite and above 0, got {s.rate_hz}")
+        check_above_0({"rate_hz": s.rate_hz})
+        check_at_least(0, {"wait_ms": s.wait_ms})
         for name in ("lost_after_s", "max_skew_ms"):
             if (value := getattr(s, name)) is not None and not value > 0:
                 raise InputError(f"{name} must be above 0, got {value}")
-        if not 0 <= s.wait_ms < math.inf:
-            raise InputError(f"wait_ms must be finite and at least 0, got {s.wait_ms}")
         self._nominal_ns = self._period_ns = 1e9 / s.rate_hz
         self._cameras: dict[str, _Camera] = {}
         self._clocks: dict[str, ClockTracker] = {}

@@ -29,7 +29,7 @@ from depthmocap.classify.windows import Batches, Ingredient, WindowSource, sorte
 from depthmocap.errors import InputError
 from depthmocap.precision import in_bfloat16
 from depthmocap.report.metrics import PixelAccuracy
-from depthmocap.settings import check_numbers, check_seed, claim_folder
+from depthmocap.settings import check_above_0, check_at_least, check_seed, claim_folder
 from depthmocap.synth.sample import Subset
 
 Optimiser = Literal["adamw", "sgd"]
@@ -105,11 +105,10 @@ class ClassifierTraining:
 
     def __post_init__(self) -> None:
         check_seed(self.seed)
-        counts = {"--images": self.images, "--batch": self.batch, "--valid-every": self.valid_every,
-                  "--valid-images": self.valid_images}  # fmt: skip
-        at_least: dict[str, tuple[float | None, float]] = {option: (count, 1) for option, count in counts.items()}
-        at_least |= {"--minutes": (self.minutes, 0), "--weight-decay": (self.weight_decay, 0)}
-        check_numbers({"--learning-rate": self.learning_rate}, at_least)
+        check_at_least(1, {"--images": self.images, "--batch": self.batch, "--valid-every": self.valid_every,
+                           "--valid-images": self.valid_images})  # fmt: skip
+        check_at_least(0, {"--minutes": self.minutes, "--weight-decay": self.weight_decay})
+        check_above_0({"--learning-rate": self.learning_rate})
         for option, share in (("--average", self.average), ("--momentum", self.momentum), ("--blend", self.blend)):
             if not 0 <= share < 1:
                 raise InputError(f"{option} must be from 0 to less than 1, got {share}")

@@ -24,7 +24,7 @@ from depthmocap.pose.collect import Collected, PoseSamples, read_samples
 from depthmocap.pose.parts import body_frame, network_inputs
 from depthmocap.pose.ridge import feature_moments, fit_ridge, grouped_folds, standardise
 from depthmocap.pose.train import CLIP, FEWEST_SAMPLES
-from depthmocap.settings import check_numbers
+from depthmocap.settings import check_at_least
 
 #: Strengths of LASSO, for standardised features and joints in metres.
 _LASSO = np.logspace(-4, -2, 5)
@@ -56,7 +56,8 @@ class EstimatorComparison:
     json: Path | None = None
 
     def __post_init__(self) -> None:
-        check_numbers({}, {"--minutes": (self.minutes, 0), "--folds": (self.folds, 2)})
+        check_at_least(0, {"--minutes": self.minutes})
+        check_at_least(2, {"--folds": self.folds})
         check_outputs({"--json": self.json}, {"the samples": self.samples})
 
 

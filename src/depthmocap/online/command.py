@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-import math
 import threading
 import time
 from pathlib import Path
@@ -29,6 +28,7 @@ from depthmocap.offline import load_pipeline
 from depthmocap.online.dashboard import draw_dashboard
 from depthmocap.online.live import LiveCapture, Replay, Segment
 from depthmocap.pose.track import Bones, Smoothing
+from depthmocap.settings import check_above_0, check_at_least
 
 #: The dashboard is drawn so often.
 DRAW_S = 0.25
@@ -84,10 +84,8 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str
         raise InputError("name at least one camera or recording: depthmocap cameras lists cameras")
     if settings.seconds is not None and not settings.seconds > 0:
         raise InputError(f"--seconds must be positive, got {settings.seconds}")
-    if settings.rate_hz is not None and not 0 < settings.rate_hz < math.inf:
-        raise InputError(f"--rate-hz must be finite and above 0, got {settings.rate_hz}")
-    if not 0 <= settings.wait_ms < math.inf:
-        raise InputError(f"--wait-ms must be finite and at least 0, got {settings.wait_ms}")
+    check_above_0({"--rate-hz": settings.rate_hz})
+    check_at_least(0, {"--wait-ms": settings.wait_ms})
     if settings.record is not None:
         check_name("--record", settings.record)
     with contextlib.ExitStack() as stack:

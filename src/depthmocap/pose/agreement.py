@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from depthmocap.body.skeleton import JOINTS, MIRROR
+from depthmocap.body.skeleton import SIDED
 from depthmocap.pose.cloud import LabelledCloud
 
-#: Joints of the middle, which do not move where a view takes left for right.
-_MIDDLE = np.flatnonzero(np.arange(len(JOINTS)) == MIRROR)
+#: Joints of the middle do not move where a view takes left for right.
+_MIDDLE = ~SIDED
 #: Views tell of joints only where they expect less error (metres), and only with so many of them.
 SURE_M, FEWEST_JOINTS = 0.15, 3
 #: Further apart (metres) than a view by itself is wrong: cameras that stand right have less than 2 cm in the median.

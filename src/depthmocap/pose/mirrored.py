@@ -11,13 +11,11 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from depthmocap.body.regions import MIRROR as MIRRORED_REGIONS
-from depthmocap.body.skeleton import JOINTS, MIRROR
+from depthmocap.body.skeleton import MIRROR, SIDED
 
 if TYPE_CHECKING:
     from depthmocap.pose.cloud import LabelledView
 
-#: Joints of one side, by which two views are compared.
-_SIDED = np.flatnonzero(np.arange(len(JOINTS)) != MIRROR)
 #: One of two views is mirrored where exchanging its sides leaves less than this share of their distance, and that much
 #: (metres) less.
 RATIO, GAIN_M = 0.8, 0.06
@@ -32,14 +30,14 @@ _EXCHANGED[: len(MIRRORED_REGIONS)] = MIRRORED_REGIONS
 def undo_mirrored(parts: Sequence[LabelledView]) -> list[LabelledView]:
     """The views of one person, left and right exchanged in those that are mirrored against the surer ones.
 
-    Views are compared by the joints that each by itself takes to be somewhere; views without any, and with true labels,
-    stay as they are.
+    Views are compared by where each by itself takes the joints of both sides to be; views without any, and with true
+    labels, stay as they are.
     """
     parts = list(parts)
     joints = {i: told for i, part in enumerate(parts) if (told := _told(part)) is not None}
     if len(joints) < 2:
         return parts
-    first = min(joints, key=lambda i: float(joints[i][_SIDED, 3].mean()))
+    first = min(joints, key=lambda i: float(joints[i][SIDED, 3].mean()))
     same, mirrored = [first], []
     for i in joints:
         if i != first:
@@ -57,12 +55,12 @@ def undo_mirrored(parts: Sequence[LabelledView]) -> list[LabelledView]:
 
 def _told(part: LabelledView) -> Float[ndarray, "18 4"] | None:
     """Where a view that knows how sure it is takes the joints to be."""
-    known = part.joints is not None and part.weights is not None and np.isfinite(part.joints[_SIDED]).all()
+    known = part.joints is not None and part.weights is not None and np.isfinite(part.joints[SIDED]).all()
     return part.joints if known else None
 
 
 def _apart(joints: Float[ndarray, "18 4"], others: Float[ndarray, "18 4"]) -> float:
-    return float(np.linalg.norm(joints[_SIDED, :3] - others[_SIDED, :3], axis=1).mean())
+    return float(np.linalg.norm(joints[SIDED, :3] - others[SIDED, :3], axis=1).mean())
 
 
 def _sureness(part: LabelledView) -> float:

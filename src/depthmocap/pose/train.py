@@ -15,7 +15,7 @@ from depthmocap.errors import InputError, missing_extra
 from depthmocap.pose.cloud import LABELS, Labels
 from depthmocap.pose.collect import Collected, PoseSamples, collect, read_samples, with_parts_of
 from depthmocap.pose.ridge import RidgeBank, fit_ridge
-from depthmocap.settings import check_numbers, plain_settings
+from depthmocap.settings import check_above_0, plain_settings
 
 #: Bound of standardised features of network labels, in deviations. Mislabelled specks move a region's minimum and
 #: maximum: with one view it took a tenth off the mean error, with three it changed nothing. True labels have no specks.
@@ -52,7 +52,7 @@ class PoseTraining:
     bfloat16: bool | None = None
 
     def __post_init__(self) -> None:
-        check_numbers({"--minutes": self.minutes, "--learning-rate": self.learning_rate}, {})
+        check_above_0({"--minutes": self.minutes, "--learning-rate": self.learning_rate})
         if self.estimators != "votes" and self.source.samples < FEWEST_SAMPLES:
             raise InputError(
                 f"--samples must be at least {FEWEST_SAMPLES} to fit a regressor, got {self.source.samples}"

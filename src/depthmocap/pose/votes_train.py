@@ -46,7 +46,7 @@ from depthmocap.pose.parts import (
 from depthmocap.pose.ridge import grouped_folds
 from depthmocap.pose.votes_network import VotesNet
 from depthmocap.precision import in_bfloat16
-from depthmocap.settings import check_numbers
+from depthmocap.settings import check_above_0
 
 #: A joint is right within this (metres), as the paper counts: what the confidence foretells.
 RIGHT_M = 0.1
@@ -197,7 +197,7 @@ def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Pat
     Raises:
         InputError: for samples of fewer than two groups (motion clips), or weights that cannot be read.
     """
-    check_numbers({"--minutes": settings.minutes, "--learning-rate": settings.learning_rate}, {})
+    check_above_0({"--minutes": settings.minutes, "--learning-rate": settings.learning_rate})
     torch.manual_seed(seed)
     rng = np.random.default_rng([seed, 11])
     usable: list[Labels] = [k for k in LABELS if samples.parts[k][..., 0].any()]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import tempfile
 from collections import Counter
 from pathlib import Path
 from typing import Any, Literal
@@ -17,7 +16,7 @@ from rich.table import Table
 
 from depthmocap.body.posture import mirror_posture
 from depthmocap.errors import InputError
-from depthmocap.output import writing
+from depthmocap.output import check_outputs, writing
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.motion.clips.skeletons import read_mapping
 from depthmocap.synth.motion.cover import Cover, farthest_points
@@ -68,7 +67,7 @@ class PoolBuild:
         if self.out.suffix != ".npz" or self.out.is_dir():
             raise InputError(f"--out must be a file that ends in .npz, got {self.out}")
         if self.preset == "paper":
-            if (self.count, self.easy) != (100_000, 0) and (self.count, self.easy) != (100_000, 10_000):
+            if self.count != 100_000 or self.easy not in (0, 10_000):
                 raise InputError(f"--preset paper tells --count and --easy: leave out {self.count} and {self.easy}")
             object.__setattr__(self, "count", 100_000)
             object.__setattr__(self, "easy", 10_000)
@@ -100,9 +99,7 @@ def build_pool(settings: PoolBuild) -> PosturePool:
     joints = read_mapping(settings.mapping) if settings.mapping else {}
     folder = ClipFolder.open(settings.clips, ClipReading(joints, settings.skeletons))
     rest = anny_rest()
-    with writing(settings.out):  # before the clips are read, which may take hours
-        settings.out.parent.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=settings.out.parent).close()
+    check_outputs({"--out": settings.out})
     quotas = [_Quota(round(settings.count * share), round(settings.easy * share)) for share in settings.shares]
     covers = [Cover(settings.spacing_m, max(1000, _CANDIDATES * quota.count)) for quota in quotas]
     read: list[Clip] = []
@@ -148,6 +145,7 @@ def build_pool(settings: PoolBuild) -> PosturePool:
     pool = PosturePool(postures, clips, splits, simple, kinds, tuple(clip.name for clip in read), report)
     report["counts"] = counts_of(pool)
     with writing(settings.out):
+        settings.out.parent.mkdir(parents=True, exist_ok=True)
         pool.save(settings.out)
     _print_report(console, pool, settings)
     return pool
