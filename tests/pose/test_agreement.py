@@ -66,6 +66,26 @@ def test_of_two_cameras_both_are_named() -> None:
     assert "cameras 'a' and 'b'" in problem
 
 
+@pytest.mark.parametrize("sets", [2 * FEWEST_SETS - 2, SETS])
+def test_a_pair_is_one_pair_whichever_frame_comes_first(sets: int) -> None:
+    rng, agreement, found = np.random.default_rng(0), Agreement(), []
+    for i in range(sets):
+        joints = {name: guess(rng, 0.15 if name == "b" else 0) for name in ("ab" if i % 2 else "ba")}
+        found += agreement(cloud(joints))
+    (problem,) = found + agreement.finish()
+    assert "cameras 'a' and 'b'" in problem
+
+
+def test_a_camera_that_turns_away_is_named_however_long_it_saw() -> None:
+    rng, agreement, seen = np.random.default_rng(0), Agreement(), 3 * SETS
+    a, b = guess(rng), guess(rng)
+    clouds = [cloud({"a": a, "b": b}), cloud({"a": a, "b": np.full((18, 4), np.nan)})]
+    told = [agreement(clouds[i >= seen]) for i in range(seen + 6 * SETS)]
+    first = next(i for i, problems in enumerate(told) if problems)
+    assert seen + 2 * SETS < first  # not while somebody merely stands where it does not look
+    assert "camera 'b' sees next to nothing" in told[first][0]
+
+
 def test_a_camera_that_sees_nobody_is_named() -> None:
     (problem,) = told(3, lambda rng, name, i: np.full((18, 4), np.nan) if name == "c" and i != 20 else guess(rng))
     assert "camera 'c' sees next to nothing" in problem

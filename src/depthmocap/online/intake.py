@@ -75,11 +75,11 @@ class Intake:
 
 
 def frame_set(synced: SyncedSet, cameras: dict[str, DepthCamera]) -> FrameSet:
-    """A set in metres, with the cameras that took it."""
+    """A set in metres, with the cameras that took it, in the order of ``cameras``: not in that of arrival."""
     views = tuple(
-        View(cameras[name], cameras[name].to_metres(frame.raw))
-        for name, frame in synced.frames.items()
-        if name in cameras
+        View(camera, camera.to_metres(synced.frames[name].raw))
+        for name, camera in cameras.items()
+        if name in synced.frames
     )
     return FrameSet(synced.timestamp_ns, views)
 

@@ -49,7 +49,8 @@ class Agreement:
         self._delivered.update(views.keys())
         self._saw.update(seeing.keys())
         if len(seeing) > 1:
-            names, distances = tuple(seeing), _from_the_middle(np.stack(list(seeing.values())))
+            names = tuple(sorted(seeing))  # whichever frame came first, a pair is one pair
+            distances = _from_the_middle(np.stack([seeing[name] for name in names]))
             if len(names) == 2:
                 self._apart[names].append(2 * distances[0])
             else:
@@ -77,6 +78,10 @@ class Agreement:
                 found.append(_seldom(name))
         self._apart.clear()
         self._sets = 0
+        # Of what was seen long ago ever less counts, or a camera that turns away would be told of after as long a time.
+        for counts in (self._delivered, self._saw):
+            for name in counts:
+                counts[name] //= 2
         return found
 
     def apart_m(self) -> dict[str, float]:
