@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
-from depthmocap.capture import hang, recorded, simulator, source
+from depthmocap.capture import hang, recorded, simulator, source, synthetic
 from depthmocap.online import command, gather, live
 
-MODULES: tuple[ModuleType, ...] = (hang, recorded, simulator, source, command, gather, live)
+MODULES: tuple[ModuleType, ...] = (hang, recorded, simulator, source, synthetic, command, gather, live)
 
 
 class _OverError(BaseException):

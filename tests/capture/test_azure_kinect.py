@@ -22,6 +22,7 @@ class FakeK4a:
         self.serials = [b"one", b"two"]
         self.busy: set[int] = set()
         self.count, self.lost, self.starts, self.focal = 3, False, True, 504.0
+        self.started: tuple[int, int] | None = None
         self.running: list[int] = []
         self.open: list[int] = []
         self.number = 0
@@ -49,7 +50,8 @@ class FakeK4a:
 
     def k4a_device_start_cameras(self, handle: Any, configuration: Any) -> int:
         asked = configuration._obj
-        assert (asked.depth_mode, asked.camera_fps, asked.color_resolution) == (2, 2, 0)
+        assert asked.color_resolution == 0
+        self.started = asked.depth_mode, asked.camera_fps
         if not self.starts:
             return 1
         self.running.append(handle.value)
@@ -59,6 +61,8 @@ class FakeK4a:
         self.running.remove(handle.value)
 
     def k4a_device_get_calibration(self, handle: Any, mode: int, color: int, found: Any) -> int:
+        assert self.started
+        assert (mode, color) == (self.started[0], 0)
         lens = found._obj.depth
         lens.width, lens.height = WIDTH, HEIGHT
         values = (320.5, 330.5, self.focal, 505.0, 0.52, -0.02, 0.006, 0.86, 0.105, 0.0, 0.0, 0.0, -2e-5, 1e-4)
@@ -121,6 +125,7 @@ def test_frames_of_a_device(library: FakeK4a) -> None:
     with AzureKinect("left", "two") as source:
         camera = source.camera
         assert library.running == [2]
+        assert library.started == (2, 2)  # K4A_DEPTH_MODE_NFOV_UNBINNED, K4A_FRAMES_PER_SECOND_30
         assert (camera.width, camera.height, camera.depth_unit_m) == (WIDTH, HEIGHT, 0.001)
         assert (camera.fx, camera.fy, camera.cx, camera.cy) == (504.0, 505.0, 320.5, 330.5)
         assert camera.distortion[2:4] == pytest.approx((1e-4, -2e-5))
@@ -135,6 +140,32 @@ def test_frames_of_a_device(library: FakeK4a) -> None:
             source.read(0.01)
         assert library.held == []  # everything was given back
     assert (library.running, library.open) == ([], [])
+
+
+@pytest.mark.parametrize(
+    ("asked", "started"),
+    [
+        ("", (2, 2)), ("mode=nfov&fps=15", (2, 1)), ("fps=5", (2, 0)), ("mode=nfov-binned", (1, 2)),
+        ("size=512x512", (3, 2)), ("fps=15&mode=wfov", (4, 1)), ("mode=wfov", (4, 1)),
+    ],
+)  # fmt: skip
+def test_modes(library: FakeK4a, asked: str, started: tuple[int, int]) -> None:
+    (source,) = make_sources([f"left=azure:two{asked and '?'}{asked}"])
+    with source:
+        assert source.name == "left"
+        assert library.running == [2]
+        assert library.started == started
+
+
+def test_modes_that_it_has_not(library: FakeK4a) -> None:
+    for asked, has in (
+        ("mode=passive", "no mode=passive: it has nfov, nfov-binned, wfov, wfov-binned"),
+        ("size=640x480", "no size=640x480: it has 320x288, 512x512, 640x576, 1024x1024"),
+        ("mode=nfov&size=320x288", "no size=320x288 with mode=nfov: it has 640x576"),
+        ("mode=wfov&fps=30", "no fps=30 with mode=wfov: it has 5, 15"),
+    ):
+        with pytest.raises(CameraError, match=f"camera 'azure-two' has {has}$"):
+            make_sources([f"azure:two?{asked}"])
 
 
 def test_what_is_wrong_is_told(library: FakeK4a) -> None:

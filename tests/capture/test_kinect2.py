@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from depthmocap.capture import kinect2, sdk
+from depthmocap.capture.cameras import make_sources
 from depthmocap.capture.kinect2 import Kinect2, find, to_raw
 from depthmocap.capture.source import CameraError, NoFrame
 from depthmocap.capture.usb import UsbDevice
@@ -138,6 +139,14 @@ def test_a_mirrored_lens_sees_the_same(on_usb: list[UsbDevice]) -> None:
         v = 366.0 * (y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * mx * y) + 204.5
         ours = camera.project(np.array([[sign * x * 2, y * 2, 2.0]]))[0]
         assert ours == pytest.approx([511 - u, v, 2.0], abs=1e-9)
+
+
+def test_its_only_mode_can_be_asked_for(freenect2: Any) -> None:
+    (source,) = make_sources(["kinect2:111?size=512x424&fps=30"])
+    assert isinstance(source, Kinect2)
+    for asked, has in (("fps=15", "fps=15: it has 30"), ("mode=nfov", "mode=nfov: it has no modes with names")):
+        with pytest.raises(CameraError, match=f"camera 'kinect2-111' has no {has}$"):
+            make_sources([f"kinect2:111?{asked}"])
 
 
 def test_what_is_wrong_is_told(freenect2: Any, on_usb: list[UsbDevice], monkeypatch: pytest.MonkeyPatch) -> None:

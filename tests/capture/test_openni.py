@@ -12,6 +12,7 @@ import pytest
 from oni_file import write_oni
 
 from depthmocap.capture import openni, sdk
+from depthmocap.capture.cameras import make_sources
 from depthmocap.capture.openni import OpenNICamera, find
 from depthmocap.capture.source import CameraError, NoFrame
 from depthmocap.errors import InputError
@@ -154,6 +155,27 @@ def test_frames_of_a_device(package: Any) -> None:
             source.read(0.01)
     assert device.uri == b""
     assert not device.stream.running
+
+
+def test_modes(package: Any, tmp_path: Path) -> None:
+    (source,) = make_sources(["openni:1d27/0601@1/3?size=320x240&fps=60"])
+    with source:
+        assert Device.opened.stream.mode is Stream.modes[3]
+        assert (source.camera.width, source.camera.height) == (320, 240)
+    (source,) = make_sources(["openni:1d27/0601@1/3?fps=15"])
+    with pytest.raises(CameraError, match=r"camera 'openni-1d27-0601-1-3' has no fps=15: it has 30, 60$"):
+        source.__enter__()
+    assert Device.opened.uri == b""  # closed
+    (tmp_path / "what?.oni").touch()
+    (source,) = make_sources([f"openni:{tmp_path}/what?.oni"])  # a name with a question mark
+    with source:
+        assert source.camera.width == 1280
+    (source,) = make_sources([f"openni:{tmp_path}/what?.oni?size=320x240"])
+    with pytest.raises(CameraError, match=r"has no size=320x240: it has 1280x1024$"):
+        source.__enter__()
+    (source,) = make_sources([r"openni:\\?\usb#vid_2bc5&pid_0401#5"])
+    with source:
+        assert Device.opened.uri == rb"\\?\usb#vid_2bc5&pid_0401#5"
 
 
 @pytest.mark.parametrize(("mirrored", "column"), [(True, 639), (False, 0), (None, 0)])

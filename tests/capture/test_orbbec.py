@@ -91,10 +91,10 @@ class Fake:
     )  # fmt: skip
     start_error = lost = ""
     count = 3
+    enabled: Any = None
 
     def __init__(self, device: Any = None) -> None:
         self.device, self.number, self.running = device, 0, False
-        self.enabled: Any = None
 
     @staticmethod
     def set_logger_to_file(level: str, path: str) -> None:
@@ -126,7 +126,7 @@ class Fake:
     def start(self, config: "Fake") -> None:
         if self.start_error:
             raise FakeError(self.start_error)
-        assert config.enabled is self.profiles[3]
+        Fake.enabled = config.enabled
         self.running = True
         Fake.last = self
 
@@ -177,6 +177,7 @@ def test_frames_as_the_device_gave_them(sdk: Any) -> None:
     with OrbbecCamera("left", "two") as source:
         camera = source.camera
         assert Fake.last.device == "two"
+        assert Fake.enabled is Fake.profiles[3]
         assert (source.up, camera.world_from_camera.tolist()) == ("-y", np.eye(4).tolist())  # upright, y is down
         assert (camera.width, camera.height, camera.fx, camera.cy) == (WIDTH, HEIGHT, 504.0, 288.5)
         assert camera.depth_unit_m == pytest.approx(0.00025)
@@ -191,6 +192,22 @@ def test_frames_as_the_device_gave_them(sdk: Any) -> None:
         with pytest.raises(NoFrame, match="still connected"):
             source.read(0.05)
     assert not Fake.last.running
+
+
+def test_modes(sdk: Any) -> None:
+    for asked, index in (("fps=5", 2), ("size=320x288", 4), ("size=1024x1024&fps=15", 0)):
+        (source,) = make_sources([f"orbbec:two?{asked}"])
+        with source:
+            assert Fake.enabled is Fake.profiles[index]
+    for asked, has in (
+        ("fps=60", "fps=60: it has 5, 15, 30"),
+        ("size=640x480", "size=640x480: it has 320x288, 640x576, 1024x1024"),
+        ("size=320x288&fps=5", "fps=5 with size=320x288: it has 30"),
+    ):
+        (source,) = make_sources([f"orbbec:two?{asked}"])
+        with pytest.raises(CameraError, match=f"camera 'orbbec-two' has no {has}$"):
+            source.__enter__()
+        assert not Fake.last.running
 
 
 def test_lenses_of_other_models(sdk: Any, monkeypatch: pytest.MonkeyPatch) -> None:

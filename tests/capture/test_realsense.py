@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from depthmocap.capture.cameras import make_sources
+from depthmocap.capture.modes import Wanted
 from depthmocap.capture.realsense import MAKE, RealSenseCamera, find
 from depthmocap.capture.source import CameraError, NoFrame
 from depthmocap.errors import InputError
@@ -98,6 +100,19 @@ def test_read_latest_and_again() -> None:
         with source:
             software.deliver(picture(3), 5.0, 1)
             np.testing.assert_array_equal(source.read_latest(5000.0).raw, picture(3))
+
+
+def test_modes() -> None:
+    with RealSenseCamera("front", wanted=Wanted(size=(32, 24)), device=Software().device) as source:
+        assert (source.camera.width, source.camera.height) == (32, 24)
+    for wanted, has in (
+        (Wanted(size=(640, 480)), "size=640x480: it has 32x24, 64x48"),
+        (Wanted(fps=60), "fps=60: it has 30"),
+    ):
+        with pytest.raises(CameraError, match=f"camera 'front' has no {has}$"):
+            RealSenseCamera("front", wanted=wanted, device=Software().device).__enter__()
+    (source,) = make_sources(["realsense:1?size=64x48"])
+    assert source.name == "realsense-1"
 
 
 def test_usb_2_is_told() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from depthmocap.capture import sdk
-from depthmocap.capture.sdk import Make, checked, nearest_mode
+from depthmocap.capture.sdk import Make, checked
 from depthmocap.capture.source import CameraError
 from depthmocap.capture.usb import UsbDevice, usb_devices
 from depthmocap.errors import InputError
@@ -109,12 +109,6 @@ def test_why_it_failed(monkeypatch: pytest.MonkeyPatch, usb: list[UsbDevice]) ->
     ):
         with pytest.raises(CameraError, match=told):
             raise MAKE.failed("left", said, serial)
-
-
-def test_the_nearest_mode() -> None:
-    modes = [(1280, 720, 30), (640, 480, 15), (640, 480, 30), (640, 480, 90), (320, 240, 30)]
-    assert nearest_mode(modes) == 2
-    assert nearest_mode(modes[:1]) == 0
 
 
 @pytest.mark.parametrize("change", [{"fx": 0.0}, {"fy": float("nan")}, {"depth_unit_m": 0.0}, {"width": 0}])

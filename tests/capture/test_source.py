@@ -9,7 +9,8 @@ from rich.console import Console
 
 from depthmocap.capture import cameras
 from depthmocap.capture.cameras import CamerasSettings, find_cameras, list_cameras, make_sources, open_camera
-from depthmocap.capture.recorded import Pace, RecordedCamera, SyntheticCamera, SyntheticScene
+from depthmocap.capture.modes import Mode, Wanted
+from depthmocap.capture.recorded import Pace, RecordedCamera
 from depthmocap.capture.recording import Recording, RecordingWriter
 from depthmocap.capture.source import (
     CLOSE_S,
@@ -255,6 +256,45 @@ def test_specs(recording: Recording, tmp_path: Path) -> None:
     assert names == ["realsense-1", "realsense-2", "azure", "left", "openni-1d27-0601-1-2", "openni-b"]
 
 
+@pytest.mark.parametrize(
+    "asked",
+    [
+        "",
+        "fps",
+        "fps=",
+        "fps=0",
+        "fps=fast",
+        "fps=1.5",
+        "size=640",
+        "size=0x480",
+        "rate=30",
+        "fps=15&fps=30",
+        "fps=15&",
+        "mode=",
+    ],
+)
+def test_what_is_no_mode_is_told(asked: str) -> None:
+    for spec in (f"left=azure:1?{asked}", f"realsense?{asked}", f"synthetic#cam0?{asked}"):
+        with pytest.raises(InputError, match="stand mode=NAME, size=WIDTHxHEIGHT or fps=NUMBER") as caught:
+            make_sources([spec])
+        assert str(caught.value).startswith(f"{spec}: ")
+
+
+def test_the_usual_mode() -> None:
+    sizes = ((1280, 720, 30), (640, 480, 15), (640, 480, 30), (640, 480, 90), (320, 240, 30))
+    modes = [Mode(*each) for each in sizes]
+    assert Wanted().choose("left", modes) == 2
+    assert Wanted().choose("left", modes[:1]) == 0
+    assert Wanted(fps=90).choose("left", modes) == 3
+    assert Wanted(size=(320, 240)).choose("left", modes) == 4
+    assert Wanted.parse("x", "size=320×240&fps=30") == Wanted(size=(320, 240), fps=30)
+
+
+def test_a_recording_has_no_modes(recording: Recording) -> None:
+    with pytest.raises(InputError, match="a recording has no other modes than it was made in"):
+        make_sources([f"{recording.path}?fps=15"])
+
+
 def test_looking_for_cameras_never_fails(monkeypatch: pytest.MonkeyPatch, virtual: VirtualTime) -> None:
     """Every kind is listed, or told why not; one whose SDK fails or hangs does not keep the others from the list."""
     found, unable = find_cameras()
@@ -284,15 +324,25 @@ def test_looking_for_cameras_never_fails(monkeypatch: pytest.MonkeyPatch, virtua
 
 def test_the_synthetic_scene_is_a_source_for_each_of_its_cameras() -> None:
     pytest.importorskip("anny")
-    scene = SyntheticScene(sets=1)
+    told: list[str] = []
+    sources = make_sources(["synthetic?fps=20"], tell=told.append)
+    assert [line[:26] for line in told] == ["making the synthetic scene"]
     stamps = []
-    for name in reversed(scene.rig.names):  # in any order: the others' frames wait
-        with SyntheticCamera(scene, name) as source:
-            (frame,) = list(source)
+    for each in reversed(sources):  # in any order: the others' frames wait
+        with each as source:
+            frames = [source.read(), source.read()]
+            for frame in frames:
+                assert frame is not None
+                assert frame.raw.shape == (source.camera.height, source.camera.width)
+                assert (frame.raw > 0).mean() > 0.5
             assert source.up == "z"
-            assert frame.raw.shape == (source.camera.height, source.camera.width)
-            assert (frame.raw > 0).mean() > 0.5
-            stamps.append(frame.timestamp_ns)
-    assert max(stamps) - min(stamps) < 10_000_000
-    with pytest.raises(CameraError, match="no camera 'x'"):
-        SyntheticCamera(scene, "x")
+            stamps.append([frame.timestamp_ns for frame in frames if frame])
+    assert (np.ptp(stamps, axis=0) < 10_000_000).all()
+    np.testing.assert_allclose(np.diff(stamps), 50e6, atol=6e6)
+    for spec in ("synthetic#x", "synthetic#x?fps=5"):
+        with pytest.raises(CameraError, match="no camera 'x': it has cam0, cam1, cam2"):
+            make_sources([spec])
+    with pytest.raises(CameraError, match=r"camera 'cam0' has no fps=7: it has 5, 8, 10, 15, 20, 30$"):
+        make_sources(["synthetic?fps=7"])
+    with pytest.raises(CameraError, match=r"camera 'cam2' has no size=320x288: it has 256x212$"):
+        make_sources(["synthetic#cam2?size=320x288"])

@@ -128,7 +128,8 @@ def test_a_rig_that_does_not_fit_is_told_once_and_the_others_go_on(virtual):
         statuses = {status.name: status for status in capture.statuses()}
     assert {name for synced in sets for name in synced.frames} == {"cam0"}
     assert sorted(capture.problems) == [
-        "camera 'cam1' delivers 32×24 but was calibrated at 64×24: calibrate it again, or set its resolution",
+        "camera 'cam1' delivers 32×24 but was calibrated at 64×24: calibrate it again, or ask the device for "
+        "?size=64x24",
         "the rig has a camera 'cam3', but no source of that name was given; going on without it",
         "the rig has no camera 'cam2': it has cam0, cam1, cam3",
     ]

@@ -11,7 +11,8 @@ import time
 from typing import Any
 
 from depthmocap.capture import k4a
-from depthmocap.capture.lens import five_coefficients
+from depthmocap.capture.lens import NARROW, five_coefficients
+from depthmocap.capture.modes import Wanted
 from depthmocap.capture.sdk import Make, checked
 from depthmocap.capture.source import CameraError, DepthFrame, DepthSource, FoundCamera, NoFrame
 from depthmocap.errors import InputError
@@ -24,6 +25,8 @@ MAKE = Make(
 )  # fmt: skip
 #: The SDK gives depth in millimetres.
 _UNIT_M = 0.001
+#: Half the field of view (tangent) of the wide modes, whose picture is a circle of 120°.
+_WIDE = 1.75
 #: Looking for cameras opens each for a moment: nobody else may try meanwhile.
 _LOCK = threading.Lock()
 
@@ -55,23 +58,25 @@ def find() -> list[FoundCamera]:
     return [each if each.serial else FoundCamera(each.spec, each.model, "", each.problem or closed) for each in found]
 
 
-def make(name: str, address: str) -> DepthSource:
+def make(name: str, address: str, wanted: Wanted) -> DepthSource:
     """The camera with this serial number, or the first.
 
     Raises:
-        InputError: when it is a recording.
+        InputError: when it is a recording, or no Azure Kinect has the wanted mode.
     """
     if address.lower().endswith(".mkv"):
         raise InputError(f"{address} is a recording and no camera: give its path alone, without {MAKE.kind}:")
-    return AzureKinect(name, address)
+    return AzureKinect(name, address, wanted)
 
 
 class AzureKinect(DepthSource):
-    """One camera's depth in the narrow unbinned mode (640×576, 30 a second)."""
+    """One camera's depth, by default in the narrow unbinned mode (640×576, 30 a second)."""
 
-    def __init__(self, name: str, serial: str = "") -> None:
+    def __init__(self, name: str, serial: str = "", wanted: Wanted | None = None) -> None:
+        """Raises MisfitError when there is no such mode."""
         super().__init__(name)
         self._serial = serial
+        self._mode = k4a.MODES[(wanted or Wanted()).choose(name, k4a.MODES)]
 
     def _open(self) -> DepthCamera:
         library = k4a.load()
@@ -84,10 +89,11 @@ class AzureKinect(DepthSource):
             except k4a.K4aError as error:
                 raise MAKE.failed(self.name, error, self._serial) from None
         try:
-            lens = self._device.start()
+            lens = self._device.start(self._mode)
+            field = _WIDE if self._mode.name.startswith("wfov") else NARROW
             return checked(DepthCamera(
                 self.name, lens.width, lens.height, lens.values[2], lens.values[3], lens.values[0], lens.values[1],
-                distortion=five_coefficients(lens.coefficients), depth_unit_m=_UNIT_M,
+                distortion=five_coefficients(lens.coefficients, field), depth_unit_m=_UNIT_M,
             ))  # fmt: skip
         except k4a.K4aError as error:
             self._close()

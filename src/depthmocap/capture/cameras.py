@@ -5,19 +5,20 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
 from depthmocap.capture.hang import HangsError, within
+from depthmocap.capture.modes import Wanted
 from depthmocap.capture.open import open_recording
-from depthmocap.capture.recorded import Pace, RecordedCamera, SyntheticCamera, SyntheticScene
+from depthmocap.capture.recorded import Pace, RecordedCamera
 from depthmocap.capture.source import OPEN_S, CameraError, DepthSource, FoundCamera
 from depthmocap.errors import InputError
 
-#: Module of each back end. It has ``find()``, the connected devices, and ``make(name, address)``, a source.
+#: Module of each back end. It has ``find()``, the connected devices, and ``make(name, address, wanted)``, a source.
 BACK_ENDS = {
     "realsense": "depthmocap.capture.realsense",
     "azure": "depthmocap.capture.azure_kinect",
@@ -30,47 +31,76 @@ SYNTHETIC = "synthetic"
 _FILES = (".oni", ".bag")
 
 
-def make_sources(specs: Sequence[str], pace: Pace | None = None) -> list[DepthSource]:
+@dataclasses.dataclass(frozen=True)
+class _Spec:
+    """What a user types for a camera: ``[NAME=]KIND[:ADDRESS][?MODE]``, or ``synthetic[#NAME][?MODE]``."""
+
+    name: str
+    kind: str
+    address: str
+    wanted: Wanted
+
+    @classmethod
+    def parse(cls, spec: str) -> _Spec | None:
+        """Its parts; None where it names no kind of camera.
+
+        Raises:
+            InputError: when what stands after the ``?`` asks for no mode.
+        """
+        device = rf"(?:(?P<name>.*?)=)??(?P<kind>{'|'.join(BACK_ENDS)})(?::(?P<address>.*?))?"
+        # No slash in it: URIs of OpenNI on Windows have a question mark too.
+        asked = r"(?:\?(?P<asked>[^?/\\]*))?"
+        found = re.fullmatch(rf"(?:{device}|{SYNTHETIC}(?:#(?P<one>.*?))?){asked}", spec, re.DOTALL)
+        if found is None:
+            return None
+        if found["kind"] is None:
+            address = found["one"] or ""
+        else:
+            address = found["address"] or ""
+            if found["asked"] is not None and Path(whole := f"{address}?{found['asked']}").exists():
+                return cls(found["name"] or "", found["kind"], whole, Wanted())
+        wanted = Wanted() if found["asked"] is None else Wanted.parse(spec, found["asked"])
+        return cls(found["name"] or "", found["kind"] or SYNTHETIC, address, wanted)
+
+
+def make_sources(
+    specs: Sequence[str], pace: Pace | None = None, tell: Callable[[str], None] = lambda line: None
+) -> list[DepthSource]:
     """Sources, not opened yet, by what a user types.
 
-    ``[NAME=]realsense[:SERIAL]`` and the like are devices, the first that is found without a serial number; a path is a
-    recording with all its cameras, ``PATH#NAME`` one of them; ``synthetic`` is the generator.
+    ``[NAME=]realsense[:SERIAL]`` and the like are devices, the first that is found without a serial number, each with
+    ``?mode=NAME&size=WIDTHxHEIGHT&fps=NUMBER`` or part of that; a path is a recording with all its cameras,
+    ``PATH#NAME`` one of them; ``synthetic`` is the generator, ``synthetic#NAME`` one of its cameras.
+
+    Args:
+        tell: takes a line before something that takes long.
 
     Raises:
         InputError: when a spec is none of these, or two cameras have one name or are one device.
     """
     pace = pace or Pace()
     sources: list[DepthSource] = []
-    devices: dict[str, str] = {}
-    for spec in specs:
-        name, _, rest = spec.rpartition("=")
-        back_end, _, address = rest.partition(":")
-        if back_end in BACK_ENDS:
-            for other, given in devices.items():
-                # One without a serial number is the first that is found, which may be any.
-                if other.partition(":")[0] == back_end and (other == rest or back_end in (other, rest)):
-                    raise InputError(f"{given} and {spec} may be one device: give each its own serial number")
-            devices[rest] = spec
-            module = importlib.import_module(BACK_ENDS[back_end])
-            sources.append(module.make(name or _called(back_end, address), address))
-            continue
-        if spec.partition("#")[0] == SYNTHETIC:
-            scene = SyntheticScene()
-            names = _chosen(spec, scene.rig.names)
-            sources += [SyntheticCamera(scene, each, pace) for each in names]
-            continue
-        path = Path(spec) if Path(spec).exists() else Path(spec.rpartition("#")[0] or spec)
-        if not path.exists():
-            raise InputError(
-                f"{spec} is neither a recording nor a camera: cameras are {', '.join(BACK_ENDS)}, with :SERIAL where "
-                "there are several (depthmocap cameras lists them)"
+    devices: dict[tuple[str, str], str] = {}
+    for given in specs:
+        spec = _Spec.parse(given)
+        if spec is None:
+            sources += _recorded(given, pace)
+        elif spec.kind == SYNTHETIC:
+            tell(
+                "making the synthetic scene: the first time on a machine takes a minute or two, because it is compiled"
             )
-        recording = open_recording(path)
-        with_frames = [each for each in recording.rig.names if recording.stamps(each)]
-        names = with_frames if path == Path(spec) else [spec.rpartition("#")[2]]
-        recorded = [RecordedCamera(recording, each, pace) for each in names]
-        recorded[0].problems.extend(recording.problems)  # the file's, told once
-        sources += recorded
+            from depthmocap.capture.synthetic import make_synthetic
+
+            sources += make_synthetic(spec.address, spec.wanted, pace)
+        else:
+            for (kind, address), other in devices.items():
+                # One without a serial number is the first that is found, which may be any.
+                if kind == spec.kind and (address == spec.address or "" in (address, spec.address)):
+                    raise InputError(f"{other} and {given} may be one device: give each its own serial number")
+            devices[spec.kind, spec.address] = given
+            module = importlib.import_module(BACK_ENDS[spec.kind])
+            name = spec.name or _called(spec.kind, spec.address)
+            sources.append(module.make(name, spec.address, spec.wanted))
     names = [source.name for source in sources]
     for name in names:
         if names.count(name) > 1:
@@ -80,15 +110,27 @@ def make_sources(specs: Sequence[str], pace: Pace | None = None) -> list[DepthSo
     return sources
 
 
+def _recorded(spec: str, pace: Pace) -> list[DepthSource]:
+    path = Path(spec) if Path(spec).exists() else Path(spec.rpartition("#")[0] or spec)
+    if not path.exists():
+        if Path(recording := spec.rpartition("?")[0]).is_file() or Path(recording, "rig.json").exists():
+            raise InputError(f"{spec}: a recording has no other modes than it was made in: give {recording} alone")
+        raise InputError(
+            f"{spec} is neither a recording nor a camera: cameras are {', '.join(BACK_ENDS)}, with :SERIAL where "
+            "there are several (depthmocap cameras lists them)"
+        )
+    recording = open_recording(path)
+    with_frames = [each for each in recording.rig.names if recording.stamps(each)]
+    names = with_frames if path == Path(spec) else [spec.rpartition("#")[2]]
+    sources: list[DepthSource] = [RecordedCamera(recording, each, pace) for each in names]
+    sources[0].problems.extend(recording.problems)  # the file's, told once
+    return sources
+
+
 def _called(back_end: str, address: str) -> str:
     """A camera's name where the user gives none: of signs that folders and topics may have."""
     stem = Path(address).stem if Path(address).suffix.lower() in _FILES else address
     return re.sub(r"[^\w.-]+", "-", f"{back_end}-{stem}" if stem else back_end)
-
-
-def _chosen(spec: str, names: Sequence[str]) -> Sequence[str]:
-    _, one, name = spec.partition("#")
-    return [name] if one else names
 
 
 @dataclasses.dataclass(frozen=True)

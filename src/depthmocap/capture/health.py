@@ -13,7 +13,7 @@ from depthmocap.geometry import DepthCamera
 Fault = Literal["", "size", "dark", "noise", "frozen", "clock"]
 #: In words, for the user.
 FAULTS: dict[Fault, str] = {
-    "size": "its frames are not of the size that it was calibrated at; calibrate it again, or set its resolution",
+    "size": "its frames are not of the size it was calibrated at; calibrate it again, or ask the device for that size",
     "dark": "no pixel has depth: is it covered, or too near to something?",
     "noise": "its depth is noise: check the cable and the USB port",
     "frozen": "it repeats one picture: reconnect it",

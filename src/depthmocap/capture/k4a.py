@@ -20,11 +20,22 @@ import numpy as np
 from jaxtyping import Float, UInt16
 from numpy import ndarray
 
+from depthmocap.capture.modes import Mode
 from depthmocap.errors import missing_extra
 
-#: The SDK's numbers: no colour, the narrow mode unbinned (640×576), 30 a second.
-_COLOR_OFF, _NARROW, _RATE_30 = 0, 2, 2
+#: The SDK's numbers: of no colour, of the depth modes by name and of the rates.
+_COLOR_OFF = 0
+_MODES = {"nfov-binned": 1, "nfov": 2, "wfov-binned": 3, "wfov": 4}
+_RATES = {5: 0, 15: 1, 30: 2}
 _TIMEOUT = 2
+#: What there is, by the same names: the wide picture is read out at half the rate.
+MODES = tuple(
+    Mode(width, height, fps, name)
+    for name, width, height, fastest in (
+        ("nfov", 640, 576, 30), ("nfov-binned", 320, 288, 30), ("wfov", 1024, 1024, 15), ("wfov-binned", 512, 512, 30)
+    )
+    for fps in _RATES if fps <= fastest
+)  # fmt: skip
 
 
 class K4aError(RuntimeError):
@@ -159,16 +170,18 @@ class Device:
             raise K4aError("k4a_device_get_serialnum failed")
         return text.value.decode(errors="replace")
 
-    def start(self) -> Lens:
-        """Start depth; the calibration of its pictures. Raises K4aError."""
+    def start(self, mode: Mode) -> Lens:
+        """Start depth in one of ``MODES``; the calibration of its pictures. Raises K4aError."""
+        depth_mode = _MODES[mode.name]
         configuration = _Configuration(
-            color_resolution=_COLOR_OFF, depth_mode=_NARROW, camera_fps=_RATE_30, synchronized_images_only=False
-        )
+            color_resolution=_COLOR_OFF, depth_mode=depth_mode, camera_fps=_RATES[mode.fps],
+            synchronized_images_only=False,
+        )  # fmt: skip
         if self._sdk.k4a_device_start_cameras(self._handle, ctypes.byref(configuration)) != 0:
             raise K4aError("k4a_device_start_cameras failed")
         self._running = True
         found = Calibration()
-        if self._sdk.k4a_device_get_calibration(self._handle, _NARROW, _COLOR_OFF, ctypes.byref(found)) != 0:
+        if self._sdk.k4a_device_get_calibration(self._handle, depth_mode, _COLOR_OFF, ctypes.byref(found)) != 0:
             raise K4aError("k4a_device_get_calibration failed")
         return found.depth
 

@@ -17,6 +17,7 @@ from jaxtyping import Float32, UInt16
 from numpy import ndarray
 
 from depthmocap.capture.lens import unmirrored
+from depthmocap.capture.modes import Mode, Wanted
 from depthmocap.capture.sdk import Make, checked
 from depthmocap.capture.source import CameraError, DepthFrame, DepthSource, FoundCamera, NoFrame
 from depthmocap.geometry import DepthCamera
@@ -26,7 +27,8 @@ MAKE = Make(
     "kinect2", "Kinect 2", "freenect2", "freenect2",
     lambda usb: usb.vendor == 0x045E and usb.product in (0x02C4, 0x02D8), usb3=True,
 )  # fmt: skip
-_WIDTH, _HEIGHT = 512, 424
+#: All that it can.
+_MODE = Mode(512, 424, 30)
 #: libfreenect2 gives depth as floats in millimetres; it is rounded to whole ones.
 _UNIT_M = 0.001
 _TICK_NS = 125_000
@@ -56,8 +58,13 @@ def find() -> list[FoundCamera]:
     return MAKE.found([(serial, MAKE.name) for serial in _serials(MAKE.load())])
 
 
-def make(name: str, address: str) -> DepthSource:
-    """The camera with this serial number, or the first."""
+def make(name: str, address: str, wanted: Wanted) -> DepthSource:
+    """The camera with this serial number, or the first.
+
+    Raises:
+        MisfitError: when another mode is wanted than the one there is.
+    """
+    wanted.choose(name, (_MODE,))
     return Kinect2(name, address)
 
 
@@ -97,7 +104,7 @@ class Kinect2(DepthSource):
             if not lens.fx > 0:  # the package does not tell that starting failed
                 raise MAKE.failed(self.name, "libfreenect2 did not start it", self._serial)
             return unmirrored(checked(DepthCamera(
-                self.name, _WIDTH, _HEIGHT, lens.fx, lens.fy, lens.cx - _CENTRE, lens.cy - _CENTRE,
+                self.name, _MODE.width, _MODE.height, lens.fx, lens.fy, lens.cx - _CENTRE, lens.cy - _CENTRE,
                 distortion=(lens.k1, lens.k2, lens.p1, lens.p2, lens.k3), depth_unit_m=_UNIT_M,
             )))  # fmt: skip
         except CameraError:

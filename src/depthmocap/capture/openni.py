@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from depthmocap.capture.lens import unmirrored
-from depthmocap.capture.sdk import Make, checked, nearest_mode
+from depthmocap.capture.modes import Mode, Wanted
+from depthmocap.capture.sdk import Make, checked
 from depthmocap.capture.source import CameraError, DepthFrame, DepthSource, FoundCamera, NoFrame
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera
@@ -75,18 +76,18 @@ def find() -> list[FoundCamera]:
     return MAKE.found([(uri, MAKE.name) for uri in _uris(load())])
 
 
-def make(name: str, address: str) -> DepthSource:
+def make(name: str, address: str, wanted: Wanted) -> DepthSource:
     """The camera with this URI, the first, or an ONI file."""
-    return OpenNICamera(name, address)
+    return OpenNICamera(name, address, wanted)
 
 
 class OpenNICamera(DepthSource):
     """One camera's depth, or that of an ONI file: every frame in order, as fast as it is read."""
 
-    def __init__(self, name: str, address: str = "") -> None:
+    def __init__(self, name: str, address: str = "", wanted: Wanted | None = None) -> None:
         """``address``: a URI, the path of an ONI file, or nothing for the first camera."""
         super().__init__(name)
-        self._address = address
+        self._address, self._wanted = address, wanted or Wanted()
         self._file = Path(address).resolve() if address.lower().endswith(".oni") else None
 
     def _open(self) -> DepthCamera:
@@ -130,6 +131,8 @@ class OpenNICamera(DepthSource):
             raise CameraError(f"camera {self.name!r} has no depth")
         if self._file:
             self._left = self._stream.get_number_of_frames()
+            recorded = self._stream.get_video_mode()
+            self._wanted.choose(self.name, [Mode(recorded.resolutionX, recorded.resolutionY, recorded.fps)])
             self._device.playback.set_repeat_enabled(False)
             self._device.playback.set_speed(_BY_HAND)
         else:
@@ -147,7 +150,9 @@ class OpenNICamera(DepthSource):
         modes = [each for each in self._stream.get_sensor_info().videoModes if int(each.pixelFormat) in self._units()]
         if not modes:
             raise CameraError(f"camera {self.name!r} has no depth in millimetres")
-        mode = modes[nearest_mode([(each.resolutionX, each.resolutionY, each.fps) for each in modes])]
+        mode = modes[
+            self._wanted.choose(self.name, [Mode(each.resolutionX, each.resolutionY, each.fps) for each in modes])
+        ]
         if _mode_key(mode) != _mode_key(self._stream.get_video_mode()):
             self._stream.set_video_mode(mode)
 

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from depthmocap.capture.lens import five_coefficients
-from depthmocap.capture.sdk import Make, checked, nearest_mode
+from depthmocap.capture.modes import Mode, Wanted
+from depthmocap.capture.sdk import Make, checked
 from depthmocap.capture.source import CameraError, DepthFrame, DepthSource, FoundCamera, NoFrame
 from depthmocap.geometry import DepthCamera
 
@@ -43,16 +44,17 @@ def find() -> list[FoundCamera]:
     return MAKE.found([(serial, devices.get_device_name_by_index(i)) for i, serial in enumerate(serials)])
 
 
-def make(name: str, address: str) -> DepthSource:
+def make(name: str, address: str, wanted: Wanted) -> DepthSource:
     """The camera with this serial number, or the first; or a bag file."""
-    return OrbbecCamera(name, address)
+    return OrbbecCamera(name, address, wanted)
 
 
 class OrbbecCamera(DepthSource):
     """One camera's depth, at the 16-bit mode nearest to the wanted size and rate. A file plays at its own speed."""
 
-    def __init__(self, name: str, address: str = "") -> None:
+    def __init__(self, name: str, address: str = "", wanted: Wanted | None = None) -> None:
         super().__init__(name)
+        self._wanted = wanted or Wanted()
         self._file = Path(address) if address.lower().endswith(BAG) else None
         self._serial = "" if self._file else address
 
@@ -103,7 +105,8 @@ class OrbbecCamera(DepthSource):
         depth = [each.as_video_stream_profile() for each in every if each.get_format() in formats]
         if not depth:
             raise CameraError(f"camera {self.name!r} has no 16-bit depth stream")
-        return depth[nearest_mode([(each.get_width(), each.get_height(), each.get_fps()) for each in depth])]
+        modes = [Mode(each.get_width(), each.get_height(), each.get_fps()) for each in depth]
+        return depth[self._wanted.choose(self.name, modes)]
 
     def _describe(self, profile: Any, frame: Any) -> DepthCamera:
         intrinsic, lens = profile.get_intrinsic(), profile.get_distortion()

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from depthmocap.capture.sdk import Make, checked, nearest_mode
+from depthmocap.capture.modes import Mode, Wanted
+from depthmocap.capture.sdk import Make, checked
 from depthmocap.capture.source import CameraError, DepthFrame, DepthSource, FoundCamera, NoFrame
 from depthmocap.geometry import DepthCamera
 
@@ -35,18 +36,18 @@ def find() -> list[FoundCamera]:
     return MAKE.found([(_info(rs, device, "serial_number"), _info(rs, device, "name")) for device in devices])
 
 
-def make(name: str, address: str) -> DepthSource:
+def make(name: str, address: str, wanted: Wanted) -> DepthSource:
     """The camera with this serial number, or the first."""
-    return RealSenseCamera(name, address)
+    return RealSenseCamera(name, address, wanted)
 
 
 class RealSenseCamera(DepthSource):
     """One RealSense camera's depth, at the profile nearest to the wanted size and rate."""
 
-    def __init__(self, name: str, serial: str = "", device: Any = None) -> None:
+    def __init__(self, name: str, serial: str = "", wanted: Wanted | None = None, device: Any = None) -> None:
         """``device`` is used instead of looking for one."""
         super().__init__(name)
-        self._serial, self._device = serial, device
+        self._serial, self._wanted, self._device = serial, wanted or Wanted(), device
 
     def _open(self) -> DepthCamera:
         rs = MAKE.load()
@@ -63,7 +64,8 @@ class RealSenseCamera(DepthSource):
         ]
         if not profiles:
             raise CameraError(f"camera {self.name!r} has no 16-bit depth stream")
-        profile = profiles[nearest_mode([(each.width(), each.height(), each.fps()) for each in profiles])]
+        modes = [Mode(each.width(), each.height(), each.fps()) for each in profiles]
+        profile = profiles[self._wanted.choose(self.name, modes)]
         self._queue = rs.frame_queue(_QUEUE)
         try:
             sensor.open(profile)

@@ -33,7 +33,8 @@ class RecordSettings:
     """Record depth cameras into an MCAP file until Ctrl-C, or until the sources end.
 
     Attributes:
-        sources: cameras such as realsense:SERIAL or left=azure:SERIAL, recordings, or synthetic.
+        sources: cameras such as realsense:SERIAL or left=azure:SERIAL, each with a mode if you like
+            ("azure:SERIAL?mode=nfov&fps=15", "realsense:SERIAL?size=848x480"), recordings, or synthetic.
         out: the new MCAP file (.mcap).
         rig: a rig.json that tells where the cameras stand; without it they stand at the origin (recordings know).
         seconds: stop after so long.

@@ -1,21 +1,17 @@
-"""Cameras of recordings and of the synthetic generator as sources, as fast as they are read or at their own speed."""
+"""Cameras of recordings as sources, as fast as they are read or at their own speed."""
 
 from __future__ import annotations
 
-import collections
 import threading
 import time
-from collections.abc import Iterator
 
-import numpy as np
 from jaxtyping import UInt16
 from numpy import ndarray
 
 from depthmocap.capture.recording import Recording
 from depthmocap.capture.source import CameraError, DepthFrame, DepthSource, NoFrame
 from depthmocap.errors import InputError
-from depthmocap.frames import FrameSet
-from depthmocap.geometry import DepthCamera, Rig
+from depthmocap.geometry import DepthCamera
 
 
 class Pace:
@@ -83,72 +79,6 @@ class RecordedCamera(DepthSource):
             timestamp_ns, clock = self._recording.device_time(self.name, stamp)
             return DepthFrame(self.name, raw, timestamp_ns, clock, time.monotonic_ns(), number)
         return None
-
-    def _close(self) -> None:
-        """Nothing is held open."""
-
-
-class SyntheticScene:
-    """The moving person of the packaged demo, made anew as it is read, for all its cameras. Needs the extra train.
-
-    Attributes:
-        rig: the cameras.
-    """
-
-    def __init__(self, seed: int = 0, sets: int | None = None) -> None:
-        """``sets``: end after so many; by default the motion's length."""
-        from depthmocap.body.model import BodyModel
-        from depthmocap.synth.demo import SETS, demo_frames, demo_rig
-
-        # Here, and not when a camera's thread asks for the first frame: torch, which it imports, must not be seen half
-        # imported by another thread.
-        BodyModel.load()
-        self.rig: Rig = demo_rig()
-        self._sets: Iterator[tuple[dict[str, int], FrameSet]] = demo_frames(seed, SETS if sets is None else sets)
-        self._ahead: dict[str, collections.deque[tuple[int, UInt16[ndarray, "_ _"]]]] = {
-            name: collections.deque() for name in self.rig.names
-        }
-        self._lock = threading.Lock()
-
-    def next_of(self, name: str) -> tuple[int, UInt16[ndarray, "_ _"]] | None:
-        """A camera's next timestamp (ns) and raw depth; None at the end."""
-        with self._lock:
-            if not self._ahead[name]:
-                if (made := next(self._sets, None)) is None:
-                    return None
-                stamps, frame_set = made
-                for view in frame_set.views:
-                    raw = np.round(view.depth_m / view.camera.depth_unit_m).astype(np.uint16)
-                    self._ahead[view.camera.name].append((stamps[view.camera.name], raw))
-            return self._ahead[name].popleft()
-
-
-class SyntheticCamera(DepthSource):
-    """One camera of a synthetic scene."""
-
-    patience_s = float("inf")
-
-    def __init__(self, scene: SyntheticScene, name: str, pace: Pace | None = None) -> None:
-        """Raises CameraError when the scene has no such camera."""
-        super().__init__(name)
-        if name not in scene.rig.names:
-            raise CameraError(f"the synthetic scene has no camera {name!r}: it has {', '.join(scene.rig.names)}")
-        self.up = scene.rig.up
-        self._scene, self._pace, self._number = scene, pace or Pace(), 0
-        self._due: tuple[int, UInt16[ndarray, "_ _"]] | None = None
-
-    def _open(self) -> DepthCamera:
-        return self._scene.rig[self.name]
-
-    def _read(self, timeout_s: float) -> DepthFrame | None:
-        self._due = self._due or self._scene.next_of(self.name)
-        if self._due is None:
-            return None
-        timestamp_ns, raw = self._due
-        if not self._pace.wait(timestamp_ns, timeout_s):
-            raise NoFrame(f"camera {self.name!r}: the next frame is not due yet")
-        self._due, number, self._number = None, self._number, self._number + 1
-        return DepthFrame(self.name, raw, timestamp_ns, "recording", time.monotonic_ns(), number)
 
     def _close(self) -> None:
         """Nothing is held open."""

@@ -1,4 +1,4 @@
-"""What the back ends of all SDKs share: loading them, choosing a device and a mode, saying what is wrong."""
+"""What the back ends of all SDKs share: loading them, choosing a device, saying what is wrong."""
 
 from __future__ import annotations
 
@@ -16,8 +16,6 @@ from depthmocap.capture.usb import UsbDevice, usb_devices
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.geometry import DepthCamera
 
-#: The size and rate that cameras with several are asked for, as near as they have it.
-SIZE, RATE = (640, 480), 30
 _TWINS = "another has the same serial number: connect one of them"
 _UNSEEN = "its SDK does not see it: is another program using it?"
 
@@ -124,16 +122,6 @@ class Make:
         if any(word in lower for word in ("access", "permission", "denied")):
             return CameraError(f"this user may not use camera {camera!r}: install the udev rules of its SDK{said}")
         return CameraError(f"camera {camera!r} cannot be started: it may be in use by another program{said}")
-
-
-def nearest_mode(modes: Sequence[tuple[int, int, int]]) -> int:
-    """Which of the modes (width, height, frames a second) is nearest to what is wanted."""
-
-    def distance(index: int) -> tuple[int, int]:
-        width, height, rate = modes[index]
-        return abs(width - SIZE[0]) + abs(height - SIZE[1]), abs(rate - RATE)
-
-    return min(range(len(modes)), key=distance)
 
 
 def checked(camera: DepthCamera) -> DepthCamera:

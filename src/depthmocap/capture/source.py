@@ -284,6 +284,7 @@ def place(camera: DepthCamera, rig: Rig) -> DepthCamera:
     if (placed.width, placed.height) != (camera.width, camera.height):
         raise MisfitError(
             f"camera {camera.name!r} delivers {camera.width}×{camera.height} but was calibrated at "
-            f"{placed.width}×{placed.height}: calibrate it again, or set its resolution"
+            f"{placed.width}×{placed.height}: calibrate it again, or ask the device for "
+            f"?size={placed.width}x{placed.height}"
         )
     return dataclasses.replace(placed, depth_unit_m=camera.depth_unit_m)

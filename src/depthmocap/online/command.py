@@ -39,7 +39,8 @@ class LiveSettings:
     """Motion capture of cameras until Ctrl-C, or until the recordings end.
 
     Attributes:
-        sources: cameras such as realsense:SERIAL or left=azure:SERIAL, recordings, or synthetic.
+        sources: cameras such as realsense:SERIAL or left=azure:SERIAL, each with a mode if you like
+            ("azure:SERIAL?mode=nfov&fps=15", "realsense:SERIAL?size=848x480"), recordings, or synthetic.
         rig: a rig.json that tells where the cameras stand; recordings know.
         out: folder for pose.csv, pose.trc, pose.bvh and summary.json.
         record: a new MCAP file (.mcap) for every frame as it came.

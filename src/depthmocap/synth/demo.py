@@ -103,20 +103,22 @@ def demo_backgrounds(seed: int = 0) -> dict[str, Float[ndarray, "_ _"]]:
     return backgrounds
 
 
-def demo_frames(seed: int = 0, sets: int = SETS) -> Iterator[tuple[dict[str, int], FrameSet]]:
+def demo_frames(seed: int = 0, sets: int | None = None, fps: float = FPS) -> Iterator[tuple[dict[str, int], FrameSet]]:
     """The frames: each camera's own timestamp (ns), and the views with their true masks, labels and joints.
 
     The person is where they are at each camera's own time; the true joints are of the set's median time.
 
     Raises:
-        ValueError: when ``sets`` is not in 1 to ``SETS``.
+        ValueError: when there are not so many ``sets``; by default there are ``fps`` a second of the whole motion.
     """
-    if not 1 <= sets <= SETS:
-        raise ValueError(f"sets must be in 1 to {SETS}, got {sets}")
+    most = round(DEMO_SECONDS * fps)
+    sets = most if sets is None else sets
+    if not 1 <= sets <= most:
+        raise ValueError(f"sets must be in 1 to {most}, got {sets}")
     rng = np.random.default_rng([seed, 1])
     body, rig = demo_body(), demo_rig()
     rooms = {camera.name: render_room(ROOM, camera) for camera in rig.cameras}
-    nominal_s = np.arange(sets) / FPS + JITTER_S
+    nominal_s = np.arange(sets) / fps + JITTER_S
     times_s = nominal_s + rng.uniform(-JITTER_S, JITTER_S, (len(rig.cameras), sets))
     times_s = times_s.round(6)  # whole microseconds
     middle_s = np.median(times_s, axis=0)
