@@ -17,7 +17,7 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
-from depthmocap.output import check_outputs
+from depthmocap.output import check_outputs, write_file
 from depthmocap.settings import check_above_0
 
 #: Focal length as a share of the width where none is given: a horizontal field of view of 70°, as Kinect 2's.
@@ -142,10 +142,11 @@ def label_image(settings: LabelSettings) -> UInt8[ndarray, "h w"]:
 
 
 def _write(path: Path, image: ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
+    # Encoded in memory because OpenCV cannot open a path with non-ASCII letters on Windows.
     try:
-        written = cv2.imwrite(str(path), image)
+        encoded, data = cv2.imencode(path.suffix, image)
     except cv2.error:
-        written = False
-    if not written:
-        raise InputError(f"cannot write {path}: use a name that ends in .png, in a folder you may write to")
+        encoded, data = False, None
+    if not encoded or data is None:
+        raise InputError(f"cannot write {path}: use a name that ends in .png")
+    write_file(path, data.tobytes())

@@ -27,6 +27,7 @@ from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.geometry import check_placed, load_rig
 from depthmocap.offline_report import Pictures, write_run_report
 from depthmocap.output import write_json
+from depthmocap.owning import owns
 from depthmocap.people.segmenter import PeopleSegmenter
 from depthmocap.pipeline import STAGES, Pipeline, Result
 from depthmocap.pose.agreement import Agreement
@@ -129,6 +130,7 @@ def load_pipeline(
     )
 
 
+@owns(folder="out")
 def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]:
     """Process a recording and write everything; returns the summary. Ctrl-C keeps what was done until then.
 
@@ -137,10 +139,6 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     """
     console = console or Console(stderr=True)
     source = open_source(settings.recording, settings.rig)
-    try:
-        settings.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot write to {settings.out}: {error.strerror}") from None
     with console.status("reading the background and the weights"):
         pipeline = load_pipeline(
             source, settings.segment, settings.smooth, settings.weights, settings.estimator,

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import os
+import re
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -20,6 +22,51 @@ def writing(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+#: Names under which files are written until they are whole.
+_UNFINISHED = re.compile(r"\..*\.part-\d+(\..*)?")
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A file beside ``path``, with its ending, to be written within; afterwards it takes the place of ``path``, so that
+    this is there whole or as it was before, whatever happens. After an error nothing of it is left. Folders are made.
+
+    Raises:
+        InputError: when it cannot be written; of an ``OSError`` within, too.
+    """
+    unfinished = path.with_name(f".{path.stem[:60]}.part-{os.getpid()}{path.suffix}")
+    with writing(path):
+        if path.exists() and not path.is_file():  # such as /dev/null
+            raise InputError(f"cannot write {path}: it is no file")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # Of a killed process with this one's number; or a link, which must not be followed.
+        unfinished.unlink(missing_ok=True)
+        try:
+            yield unfinished
+            unfinished.replace(path)
+        finally:
+            with contextlib.suppress(OSError):
+                unfinished.unlink(missing_ok=True)
+
+
+def write_file(path: Path, data: bytes | memoryview | str) -> None:
+    """Write a file in one piece (see :func:`replacing`), text as UTF-8 with the line ends it has.
+
+    Raises:
+        InputError: when it cannot be written.
+    """
+    with replacing(path) as unfinished:
+        unfinished.write_bytes(data.encode() if isinstance(data, str) else data)
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove what a killed process left of files that it was :func:`replacing` in a folder that nobody else writes."""
+    for path in folder.iterdir():
+        if _UNFINISHED.fullmatch(path.name) and (path.is_symlink() or path.is_file()):
+            with contextlib.suppress(OSError):
+                path.unlink()
 
 
 def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None] | None = None) -> None:
@@ -68,6 +115,4 @@ def write_json(path: Path, value: Any) -> None:
     Raises:
         InputError: when the file cannot be written.
     """
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(plain_json(value), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_file(path, json.dumps(plain_json(value), indent=1, ensure_ascii=False) + "\n")

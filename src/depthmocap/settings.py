@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from depthmocap.errors import InputError
-from depthmocap.output import writing
+from depthmocap.output import write_file
 
 
 def plain_settings(settings: Any) -> dict[str, Any]:
@@ -59,12 +59,10 @@ def claim_folder(folder: Path, settings: Any, what: str, free: Collection[str]) 
     """
     mine = json.loads(json.dumps(plain_settings(settings)))  # which has lists for tuples
     path = folder / "settings.json"
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
     if path.exists():
         theirs = json.loads(path.read_text())
         differ = [name for name, value in mine.items() if name not in free and theirs.get(name) != value]
         if differ:
             options = ", ".join(f"--{name.replace('_', '-')} {theirs.get(name)}" for name in differ)
             raise InputError(f"{folder} holds {what} with {options}: use the same, or another --out")
-    path.write_text(json.dumps(mine, indent=1) + "\n")
+    write_file(path, json.dumps(mine, indent=1) + "\n")

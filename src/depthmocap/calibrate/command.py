@@ -28,7 +28,8 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry import Rig, save_rig, transform_points, z_up_from
-from depthmocap.output import check_outputs, write_json, writing
+from depthmocap.output import check_outputs, write_json
+from depthmocap.owning import owns
 from depthmocap.settings import check_seed
 
 _GRADES = ("good", "fair", "poor")
@@ -189,6 +190,7 @@ def _why(index: int, names: tuple[str, ...], seen: list[Observation], placement:
     return f"only {shared[best]} of its poses agree with those of {best!r}, {LEAST_AGREED} or more are needed"
 
 
+@owns(files=("out", "page", "json"))
 def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Calibration:
     """Place the cameras of a recording, write the rig and the page, and print the verdict.
 
@@ -202,9 +204,7 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
         {"the recording": settings.recording, "the file of --weights": settings.weights},
     )
     found = find_rig(recording, settings, console)
-    with writing(settings.out):
-        settings.out.parent.mkdir(parents=True, exist_ok=True)
-        save_rig(found.rig, settings.out)
+    save_rig(found.rig, settings.out)
     headline = _headline(found, len(recording.rig.cameras))
     notes = [
         _FLOORS[found.floor],

@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import io
 import itertools
-import json
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from depthmocap.capture.open import open_recording
 from depthmocap.errors import InputError
 from depthmocap.geometry import Rig, rigid_inverse, save_rig, transform_points
 from depthmocap.offline import load_pipeline
+from depthmocap.output import write_json
 
 #: Where cameras stand (degrees around the middle).
 _AROUND: dict[str, tuple[float, ...]] = {
@@ -80,7 +80,7 @@ def run_trial(trial: Trial, console: Console) -> list[dict[str, Any]]:
             quiet = Console(file=io.StringIO())
             found = find_rig(open_recording(path), CalibrateSettings(path), quiet)
             rows.append({"scene": name, "repeat": repeat, **compare(path, true_rig, found)})
-            (trial.out / "trial.json").write_text(json.dumps(rows, indent=1) + "\n")
+            write_json(trial.out / "trial.json", rows)
             shown = ", ".join(f"{key} {value:.2f}" for key, value in rows[-1].items() if isinstance(value, float))
             console.print(f"{name}, {repeat}: {shown}, {found.grade}, floor by {found.floor}", highlight=False)
     return rows

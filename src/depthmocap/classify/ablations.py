@@ -14,6 +14,8 @@ from depthmocap.classify.networks import FastNet
 from depthmocap.classify.train import ClassifierTraining, evaluate_windows, load_weights, make_network, train_classifier
 from depthmocap.classify.windows import Ingredient, WindowSource
 from depthmocap.errors import InputError
+from depthmocap.output import write_json
+from depthmocap.owning import owns
 from depthmocap.report.page import ReportSection, ReportTable, write_report
 from depthmocap.settings import check_seed, claim_folder
 from depthmocap.synth.sample import Subset
@@ -69,6 +71,7 @@ class AblationTraining:
         )  # fmt: skip
 
 
+@owns(folder="out")
 def train_ablations(settings: AblationTraining, console: Console | None = None) -> dict[str, Any]:
     """Train and measure what is not there yet; returns what table.json holds.
 
@@ -105,10 +108,10 @@ def train_ablations(settings: AblationTraining, console: Console | None = None) 
                 "pixel_accuracy": accuracy.pixel_accuracy, "class_accuracy": accuracy.class_accuracy,
                 "joint_error_cm": joint_m * 100,
             }  # fmt: skip
-            measured.write_text(json.dumps(row, indent=1) + "\n")
+            write_json(measured, row)
         if measured.exists():
             found["runs"][ablation] = json.loads(measured.read_text())
-            (settings.out / "table.json").write_text(json.dumps(found, indent=1) + "\n")
+            write_json(settings.out / "table.json", found)
     rows = _rows(found["runs"])
     table = Table(*_HEADER, title=_title(settings))
     for row in rows:

@@ -19,6 +19,8 @@ from depthmocap.classify.networks import NETWORKS
 from depthmocap.classify.train import ClassifierTraining, Optimiser, evaluate_windows, load_weights, train_classifier
 from depthmocap.classify.windows import WindowSource
 from depthmocap.errors import InputError
+from depthmocap.output import write_json
+from depthmocap.owning import owns
 from depthmocap.report.charts import loss_curves
 from depthmocap.report.page import ReportFigure, ReportSection, ReportTable, write_report
 from depthmocap.settings import check_seed, claim_folder
@@ -114,6 +116,7 @@ class CurriculumTraining:
         return self.out / optimiser / name.replace(" ", "_")
 
 
+@owns(folder="out")
 def train_curriculum(settings: CurriculumTraining, console: Console | None = None) -> dict[str, Any]:
     """Train and measure what is not there yet; returns what table.json holds.
 
@@ -149,7 +152,7 @@ def train_curriculum(settings: CurriculumTraining, console: Console | None = Non
                 "end": _measured(settings, optimiser, stage),
             }  # fmt: skip
         found["optimisers"][optimiser] = measured
-        (settings.out / "table.json").write_text(json.dumps(found, indent=1) + "\n")
+        write_json(settings.out / "table.json", found)
     _print(found, console)
     _write_report(settings, found)
     return found
@@ -171,8 +174,7 @@ def _measured(settings: CurriculumTraining, optimiser: Optimiser, stage: _Stage 
     for subset in _SUBSETS:
         accuracy, _ = evaluate_windows(network, settings.source(subset).valid(settings.valid_images), settings.device)
         found[subset] = {"class_accuracy": accuracy.class_accuracy, "pixel_accuracy": accuracy.pixel_accuracy}
-    folder.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(found, indent=1) + "\n")
+    write_json(path, found)
     return found
 
 

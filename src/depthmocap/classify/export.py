@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from depthmocap.classify.networks import Network
+from depthmocap.output import replacing
 
 if TYPE_CHECKING:
     import onnx
@@ -50,9 +51,8 @@ def export_onnx(network: Network, path: Path, metadata: dict[str, str]) -> Path:
     store_half(model)
     helper.set_model_props(model, metadata)
     onnx.checker.check_model(model)
-    partial = path.with_suffix(".tmp")
-    onnx.save(model, partial)
-    partial.replace(path)
+    with replacing(path) as unfinished:
+        onnx.save(model, unfinished)
     return path
 
 

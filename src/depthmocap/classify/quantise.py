@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 from jaxtyping import Float32
 from numpy import ndarray
 
+from depthmocap.output import replacing
+
 if TYPE_CHECKING:
     import onnx
 
@@ -81,7 +83,6 @@ def quantise(source: Path, windows: Sequence[Float32[ndarray, "3 _ _"]], path: P
         model = onnx.load(integer)
     kept = {entry.key: entry.value for entry in onnx.load(source).metadata_props}
     onnx.helper.set_model_props(model, {**kept, "precision": "int8"})
-    partial = path.with_suffix(".tmp")
-    onnx.save(model, partial)
-    partial.replace(path)
+    with replacing(path) as unfinished:
+        onnx.save(model, unfinished)
     return path

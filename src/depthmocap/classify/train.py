@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import dataclasses
+import io
 import json
 import math
 import time
@@ -15,7 +16,7 @@ from typing import Any, Literal, cast
 import numpy as np
 import torch
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from safetensors.torch import save_file
+from safetensors.torch import save as serialise
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
@@ -27,6 +28,8 @@ from depthmocap.classify.preprocess import NetworkName
 from depthmocap.classify.quantise import quantise
 from depthmocap.classify.windows import Batches, Ingredient, WindowSource, sorted_batches, training_batches
 from depthmocap.errors import InputError
+from depthmocap.output import write_file
+from depthmocap.owning import owns
 from depthmocap.precision import in_bfloat16
 from depthmocap.report.metrics import PixelAccuracy
 from depthmocap.settings import check_above_0, check_at_least, check_seed, claim_folder
@@ -184,6 +187,7 @@ def make_network(settings: ClassifierTraining) -> Network:
     return kind(widths, full.depths, "norm" not in settings.without)
 
 
+@owns(folder="out")
 def train_classifier(settings: ClassifierTraining) -> Path:
     """Train, or go on training, and export; returns the ONNX file.
 
@@ -240,11 +244,11 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     def save() -> None:
         nonlocal saved
         saved = time.monotonic()
-        partial = checkpoint.with_suffix(".tmp")
         parts = {"network": network, "average": average, "optimiser": optimiser}
         state = {name: part.state_dict() for name, part in parts.items()}
-        torch.save({**state, "done": done, "spent": spent, "history": json.dumps(history)}, partial)
-        partial.replace(checkpoint)
+        held = io.BytesIO()  # torch tells a full disk as anything
+        torch.save({**state, "done": done, "spent": spent, "history": json.dumps(history)}, held)
+        write_file(checkpoint, held.getbuffer())
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     running: list[float] = []
@@ -312,7 +316,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     network.eval()
     # Norms and biases are few and keep their range; kernels take half the space.
     half = {k: v.half() if v.is_floating_point() and v.ndim > 1 else v for k, v in network.cpu().state_dict().items()}
-    save_file({k: v.contiguous() for k, v in half.items()}, out / "classifier.safetensors")
+    write_file(out / "classifier.safetensors", serialise({k: v.contiguous() for k, v in half.items()}))
     path = export_onnx(network, out / "classifier.onnx", {"network": settings.network, "images": str(done)})
     if settings.network != "paper":
         quantise(path, [data[i].inputs for i in range(_CALIBRATION)], out / "classifier_int8.onnx")
@@ -371,6 +375,6 @@ def _share(settings: ClassifierTraining, done: int, spent: float) -> float:
 def _write_history(out: Path, history: list[dict[str, float]]) -> None:
     from depthmocap.report.charts import loss_curves
 
-    (out / "history.jsonl").write_text("".join(json.dumps(row) + "\n" for row in history))
-    with contextlib.suppress(OSError):  # a picture is not worth a training run
-        (out / "curves.png").write_bytes(loss_curves(history))
+    write_file(out / "history.jsonl", "".join(json.dumps(row) + "\n" for row in history))
+    with contextlib.suppress(InputError):  # a picture is not worth a training run
+        write_file(out / "curves.png", loss_curves(history))

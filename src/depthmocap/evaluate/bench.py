@@ -16,10 +16,11 @@ from scipy.spatial.transform import Rotation
 from depthmocap.classify.runtime import Classifier
 from depthmocap.cores import usable_cores
 from depthmocap.errors import InputError
-from depthmocap.evaluate.evaluation_report import Outputs, about, write_outputs
+from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, write_outputs
 from depthmocap.evaluate.synthetic import Labels, check_views, measure, print_numbers
 from depthmocap.frames import FrameSet
 from depthmocap.geometry import DepthCamera
+from depthmocap.owning import owns
 from depthmocap.pose.estimate import load_estimator
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.motion.postures import ClipPostures, posture_source
@@ -76,6 +77,7 @@ def _misplaced(camera: DepthCamera, settings: BenchEvaluation, rng: np.random.Ge
     return dataclasses.replace(camera, world_from_camera=pose)
 
 
+@owns(files=FILES)
 def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Make and measure the sets; returns their numbers by name. Samples are independent, nothing is smoothed.
 

@@ -19,6 +19,7 @@ from rich.table import Table
 
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.output import check_outputs, write_json
+from depthmocap.owning import owns
 from depthmocap.pose.cloud import Labels
 from depthmocap.pose.collect import Collected, PoseSamples, read_samples
 from depthmocap.pose.parts import body_frame, network_inputs
@@ -61,6 +62,7 @@ class EstimatorComparison:
         check_outputs({"--json": self.json}, {"the samples": self.samples})
 
 
+@owns(files=("json",))
 def compare_estimators(settings: EstimatorComparison, console: Console | None = None) -> dict[str, Any]:
     """Fit and measure all of them; returns mean error (cm) and share within 10 cm by estimator and number of views.
 

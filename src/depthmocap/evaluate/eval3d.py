@@ -11,9 +11,10 @@ from rich.console import Console
 
 from depthmocap.classify.runtime import Classifier
 from depthmocap.datasets.eval3d import Eval, Mask, joint_table
-from depthmocap.evaluate.evaluation_report import Outputs, about, print_results, write_outputs
+from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
 from depthmocap.evaluate.observe import observe
 from depthmocap.evaluate.protocol import Refit, comparable, leave_one_out, measure_estimates
+from depthmocap.owning import owns
 from depthmocap.pose.estimate import load_estimator
 
 
@@ -41,6 +42,7 @@ class EvalEvaluation(Outputs):
     estimator: str = "votes"
 
 
+@owns(files=FILES)
 def evaluate_eval(settings: EvalEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Run the evaluation; returns the numbers by name. Frames are independent, nothing is smoothed.
 

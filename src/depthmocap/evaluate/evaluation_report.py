@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from depthmocap.output import check_outputs, write_json, writing
+from depthmocap.output import check_outputs, replacing, write_json
 from depthmocap.report.charts import joint_error_bars, precision_curve, reliability_diagram
 from depthmocap.report.metrics import JointMetrics, Reliability
 from depthmocap.report.page import Cell, ReportFigure, ReportSection, ReportTable, write_report
@@ -57,21 +57,23 @@ class Outputs:
     report: Path | None = None
 
     def __post_init__(self) -> None:
-        files = [field.name for field in dataclasses.fields(Outputs)]
         read = {
             f"what {name} names": value
             for name, value in vars(self).items()
-            if isinstance(value, Path) and name not in files
+            if isinstance(value, Path) and name not in FILES
         }
-        check_outputs({f"--{name}": getattr(self, name) for name in files}, read)
+        check_outputs({f"--{name}": getattr(self, name) for name in FILES}, read)
+
+
+#: The settings that are files.
+FILES = tuple(field.name for field in dataclasses.fields(Outputs))
 
 
 def about(settings: Outputs) -> dict[str, Any]:
     """What an evaluation's numbers depend on besides the data: the version, and all settings but its files."""
     from depthmocap import __version__
 
-    files = {field.name for field in dataclasses.fields(Outputs)}
-    kept = {key: value for key, value in plain_settings(settings).items() if key not in files}
+    kept = {key: value for key, value in plain_settings(settings).items() if key not in FILES}
     return {"depthmocap": __version__, **kept}
 
 
@@ -93,10 +95,6 @@ def write_outputs(outputs: Outputs, title: str, results: Mapping[str, Numbers], 
     Raises:
         InputError: when a file cannot be written.
     """
-    for path in (outputs.json, outputs.csv, outputs.report):
-        if path is not None:
-            with writing(path):
-                path.parent.mkdir(parents=True, exist_ok=True)
     if outputs.json is not None:
         write_json(outputs.json, results if document is None else document)
     if outputs.csv is not None:
@@ -123,7 +121,7 @@ def _cell(value: int | float, unit: str) -> str:
 
 
 def _write_joints(path: Path, results: Mapping[str, Numbers]) -> None:
-    with writing(path), path.open("w", newline="", encoding="utf-8") as file:
+    with replacing(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("result", "joint", "error_cm", "deviation_cm", "within_10cm"))
         for name, numbers in results.items():

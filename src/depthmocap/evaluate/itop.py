@@ -11,10 +11,11 @@ from rich.console import Console
 
 from depthmocap.classify.runtime import Classifier
 from depthmocap.datasets.itop import PARTS, Itop, Mask, Side
-from depthmocap.evaluate.evaluation_report import Outputs, about, print_results, write_outputs
+from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
 from depthmocap.evaluate.observe import observe
 from depthmocap.evaluate.protocol import Refit, comparable, measure_estimates
 from depthmocap.evaluate.refit import fit_joints
+from depthmocap.owning import owns
 from depthmocap.pose.estimate import load_estimator
 
 
@@ -41,6 +42,7 @@ class ItopEvaluation(Outputs):
     estimator: str = "votes"
 
 
+@owns(files=FILES)
 def evaluate_itop(settings: ItopEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Run the evaluation; returns the numbers by name. Frames are independent, nothing is smoothed.
 

@@ -18,7 +18,8 @@ from depthmocap.errors import InputError, missing_extra
 from depthmocap.evaluate.label_charts import LabelExample, label_grid, region_bars, reliability_diagram
 from depthmocap.evaluate.label_measures import LEAST_PIXELS, PARTS, BorderAccuracy, Calibration, PartSwaps
 from depthmocap.frames import FrameSet, View
-from depthmocap.output import check_outputs, write_json
+from depthmocap.output import check_outputs, replacing, write_file, write_json
+from depthmocap.owning import owns
 from depthmocap.report.charts import confusion_picture
 from depthmocap.report.metrics import PixelAccuracy
 from depthmocap.report.page import ReportFigure, ReportSection, ReportTable, write_report
@@ -139,6 +140,7 @@ def _frames(settings: LabelsEvaluation) -> Iterator[FrameSet]:
         yield FrameSet(index, sample.views, sample.joints)
 
 
+@owns(folder="out", files=("json",))
 def evaluate_labels(settings: LabelsEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Label the data, write the report and return its numbers.
 
@@ -189,14 +191,13 @@ def _summary(numbers: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _write(out: Path, data: str, quality: LabelQuality, numbers: dict[str, Any], shown: list[LabelExample]) -> None:
-    out.mkdir(parents=True, exist_ok=True)
     charts = {
         "confusion": (confusion_picture(quality.accuracy.confusion), "Predicted regions of each true region."),
         "regions": (region_bars(quality.accuracy.per_class_accuracy), "Pixels of each region labelled right."),
         "calibration": (reliability_diagram(quality.calibration), "How far probabilities can be believed."),
     }
     for name, (chart, _) in charts.items():
-        (out / f"{name}.png").write_bytes(chart)
+        write_file(out / f"{name}.png", chart)
     grid = label_grid(shown)
     _write_png(out / "examples.png", grid)
     swaps = [
@@ -234,4 +235,5 @@ def _write(out: Path, data: str, quality: LabelQuality, numbers: dict[str, Any],
 def _write_png(path: Path, picture: np.ndarray) -> None:
     from PIL import Image
 
-    Image.fromarray(picture).save(path, optimize=True)
+    with replacing(path) as unfinished:
+        Image.fromarray(picture).save(unfinished, optimize=True)

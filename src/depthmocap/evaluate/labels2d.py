@@ -19,6 +19,7 @@ from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.output import check_outputs, write_json
+from depthmocap.owning import owns
 
 #: Regions that a joint seen from any side may lie on; R and L are added for its side.
 ALLOWED: dict[str, tuple[str, ...]] = {
@@ -68,6 +69,7 @@ def _allowed(joint: str) -> list[int]:
     return [REGION[f"{name} {side}"] for name in ALLOWED[kind]]
 
 
+@owns(files=("json",))
 def evaluate_labels2d(settings: Labels2dEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Count joints on a region of their own, and on the other side's; returns the numbers.
 

@@ -23,10 +23,11 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet
 from depthmocap.datasets.mhad import MHAD_JOINTS, MhadSet
 from depthmocap.errors import InputError
-from depthmocap.evaluate.evaluation_report import Outputs, about, print_results, write_outputs
+from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
 from depthmocap.evaluate.observe import Observations, observe
 from depthmocap.evaluate.protocol import Refit, comparable, leave_one_out, measure_estimates
 from depthmocap.geometry.transforms import transform_points
+from depthmocap.owning import owns
 from depthmocap.pose.estimate import JointEstimator, load_estimator
 from depthmocap.report.metrics import joint_errors_cm
 
@@ -191,6 +192,7 @@ def read_joint_tables(path: Path | None) -> dict[str, tuple[str, ...]]:
     return JOINT_TABLES | {name: tuple(joints) for name, joints in tables.items()}
 
 
+@owns(files=FILES)
 def evaluate_mhad(settings: MhadEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Run the evaluation; returns the numbers by protocol.
 

@@ -24,6 +24,7 @@ from depthmocap.evaluate.temporal_metrics import TemporalMetrics, temporal_metri
 from depthmocap.evaluate.tracks import Track, TrackStore, estimate_track
 from depthmocap.frames import Pose
 from depthmocap.output import check_outputs, write_json
+from depthmocap.owning import owns
 from depthmocap.pose.estimate import load_estimator
 from depthmocap.pose.filter import PoseFilter
 from depthmocap.pose.sides import LIMBS, limb_joints
@@ -101,6 +102,7 @@ class MotionEvaluation:
             )
 
 
+@owns(folder="out", files=("json", "report"))
 def evaluate_motion(settings: MotionEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Make or read the estimates and measure every filter; returns the numbers by views and filter.
 
@@ -129,7 +131,6 @@ def evaluate_motion(settings: MotionEvaluation, console: Console | None = None) 
     if settings.json is not None:
         write_json(settings.json, numbers)
     if settings.report is not None:
-        settings.report.parent.mkdir(parents=True, exist_ok=True)
         write_report(settings.report, "Joints over time", _sections(numbers))
     return numbers
 

@@ -16,9 +16,10 @@ from rich.console import Console
 from depthmocap.classify.runtime import Classifier
 from depthmocap.datasets.panoptic import CONFIDENCE, PanopticSet
 from depthmocap.datasets.panoptic_files import MColor
-from depthmocap.evaluate.evaluation_report import Outputs, about, print_results, write_outputs
+from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
 from depthmocap.evaluate.observe import observe
 from depthmocap.evaluate.protocol import Refit, comparable, leave_one_out, measure_estimates
+from depthmocap.owning import owns
 from depthmocap.pose.estimate import load_estimator
 
 
@@ -48,6 +49,7 @@ class PanopticEvaluation(Outputs):
     estimator: str = "votes"
 
 
+@owns(files=FILES)
 def evaluate_panoptic(settings: PanopticEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Run the evaluation; returns the numbers by name. Frames are independent, nothing is smoothed.
 

@@ -25,6 +25,7 @@ from depthmocap.evaluate.encounter import Encounter, Moment
 from depthmocap.evaluate.stories import Beside, Empty, Meeting, Story, Visits
 from depthmocap.frames import FrameSet
 from depthmocap.output import check_outputs, write_json
+from depthmocap.owning import owns
 from depthmocap.people.segmenter import PeopleSegmenter, SeenPerson
 from depthmocap.people.track import GONE_S
 from depthmocap.pipeline import Pipeline, Segmenter
@@ -98,6 +99,7 @@ class _True:
         """Nothing is remembered."""
 
 
+@owns(files=("json",))
 def evaluate_people(settings: PeopleEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Make the scenes, follow the people in them and print what became of it; returns the numbers."""
     console = console or Console(stderr=True)

@@ -12,9 +12,10 @@ from rich.console import Console
 from rich.progress import track
 
 from depthmocap.errors import InputError
-from depthmocap.evaluate.evaluation_report import Outputs, about, print_results, write_outputs
+from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
 from depthmocap.evaluate.protocol import joint_numbers
 from depthmocap.offline import load_pipeline, open_source
+from depthmocap.owning import owns
 from depthmocap.pose.track import Bones, Smoothing
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, reliability
 
@@ -44,6 +45,7 @@ class RecordingEvaluation(Outputs):
     estimator: str = "votes"
 
 
+@owns(files=FILES)
 def evaluate_recording(settings: RecordingEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Run the pipeline over the frames and measure those with a true joint; returns the numbers by name.
 

@@ -15,7 +15,8 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.evaluate.reproduce_real import RealPart, reproduce_eval, reproduce_mhad
 from depthmocap.evaluate.reproduce_ubc3v import Ubc3vPart, reproduce_ubc3v
-from depthmocap.output import write_json, writing
+from depthmocap.output import write_json
+from depthmocap.owning import owns
 from depthmocap.report.page import ReportSection, write_report
 from depthmocap.settings import plain_settings
 
@@ -55,6 +56,7 @@ class Reproduction:
     pictures: int = 4
 
 
+@owns(folder="out")
 def reproduce(settings: Reproduction, console: Console | None = None) -> dict[str, Any]:
     """Make the page; returns the numbers by data set. A set that cannot be read is left out, and the page says why.
 
@@ -87,8 +89,6 @@ def reproduce(settings: Reproduction, console: Console | None = None) -> dict[st
         raise InputError(" ".join(notes))
     network = settings.net3 or "the packaged one"
     notes.append(f"Network: {network}; joints: {settings.estimator}. Frames are independent, nothing is smoothed.")
-    with writing(settings.out):
-        settings.out.mkdir(parents=True, exist_ok=True)
     write_report(
         settings.out / "report.html",
         "Real-time human motion capture with multiple depth cameras: the paper's results and ours",

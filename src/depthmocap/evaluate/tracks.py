@@ -14,6 +14,7 @@ from numpy import ndarray
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, Pose
+from depthmocap.output import replacing, write_file
 from depthmocap.pose.cloud import label_people, merge_views
 from depthmocap.pose.estimate import JointEstimator
 
@@ -60,11 +61,10 @@ class TrackStore:
             InputError: when it holds estimates made with other settings.
         """
         self._folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
         path, text = folder / _SETTINGS, json.dumps(settings, indent=1, default=str) + "\n"
-        if path.exists() and path.read_text() != text:
+        if path.exists() and path.read_text(encoding="utf-8") != text:
             raise InputError(f"{path} is of other settings: choose another --out, or delete that folder")
-        path.write_text(text)
+        write_file(path, text)
 
     def load(self, index: int) -> Track | None:
         """The track of a sequence, if it is there.
@@ -83,10 +83,8 @@ class TrackStore:
 
     def save(self, index: int, track: Track) -> None:
         """Keep a track; a file is there whole or not at all."""
-        unfinished = self._path(index).with_suffix(".part")
-        with unfinished.open("wb") as handle:
-            np.savez(handle, name=track.name, **{key: getattr(track, key) for key in _ARRAYS})
-        unfinished.rename(self._path(index))
+        with replacing(self._path(index)) as unfinished:
+            np.savez(unfinished, name=track.name, **{key: getattr(track, key) for key in _ARRAYS})
 
     def _path(self, index: int) -> Path:
         return self._folder / f"{index:04d}.npz"

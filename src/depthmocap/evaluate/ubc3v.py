@@ -13,8 +13,9 @@ from rich.progress import Progress
 from depthmocap.classify.runtime import Classifier
 from depthmocap.datasets.ubc3v import CAMERAS, image_paths, iterate, sections
 from depthmocap.errors import InputError
-from depthmocap.evaluate.evaluation_report import Outputs, about, write_outputs
+from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, write_outputs
 from depthmocap.evaluate.synthetic import Labels, check_views, measure, print_numbers
+from depthmocap.owning import owns
 from depthmocap.pose.estimate import load_estimator
 
 
@@ -41,6 +42,7 @@ class Ubc3vEvaluation(Outputs):
     estimator: str = "votes"
 
 
+@owns(files=FILES)
 def evaluate_ubc3v(settings: Ubc3vEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Run the evaluation and return its numbers; samples are independent, nothing is smoothed.
 

@@ -23,7 +23,7 @@ from depthmocap.export.bone_rotations import (
 )
 from depthmocap.export.timeline import Y_UP_FROM_Z_UP, even_frames, timeline
 from depthmocap.frames import Pose
-from depthmocap.output import writing
+from depthmocap.output import write_file
 
 _CM = 100.0
 _ROTATIONS = "Zrotation Xrotation Yrotation"
@@ -86,8 +86,7 @@ def write_bvh(path: Path, poses: Sequence[Pose], up: str) -> list[int]:
         f"Frame Time: {line.frame_s:.9f}",
         *(_numbers(row, 4) for row in rows),
     ]
-    with writing(path):
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_file(path, "\n".join(lines) + "\n")
     return np.flatnonzero(held | repeated).tolist()
 
 

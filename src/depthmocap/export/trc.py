@@ -13,7 +13,7 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
 from depthmocap.export.timeline import Y_UP_FROM_Z_UP, timeline
 from depthmocap.frames import Pose
-from depthmocap.output import writing
+from depthmocap.output import write_file
 
 _KEYS = (
     "DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames",
@@ -48,8 +48,7 @@ def write_trc(path: Path, poses: Sequence[Pose], up: str) -> None:
     for i, (time_s, joints_mm) in enumerate(zip(line.times_s, line.joints_y_up * 1000, strict=True)):
         cells = ["" if np.isnan(value) else f"{value:.3f}" for value in joints_mm.ravel()]
         lines.append("\t".join([str(i + 1), f"{time_s:.6f}", *cells, ""]))
-    with writing(path):
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_file(path, "\n".join(lines) + "\n")
 
 
 def read_trc(path: Path) -> tuple[Float[ndarray, " t"], Float[ndarray, "t 18 3"]]:

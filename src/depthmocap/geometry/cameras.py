@@ -16,6 +16,7 @@ from numpy import ndarray
 
 from depthmocap.errors import InputError
 from depthmocap.geometry.transforms import is_rigid, rigid_inverse, transform_points
+from depthmocap.output import write_file
 
 #: No two cameras that see one person are this far apart (metres).
 FURTHEST_M = 100.0
@@ -216,7 +217,11 @@ def load_rig(path: Path) -> Rig:
 
 
 def save_rig(rig: Rig, path: Path) -> None:
-    """Write ``rig.json``."""
+    """Write ``rig.json``.
+
+    Raises:
+        InputError: when it cannot be written.
+    """
     entries = [
         {
             **{key: getattr(camera, key) for key in ("name", "width", "height", "fx", "fy", "cx", "cy")},
@@ -226,4 +231,4 @@ def save_rig(rig: Rig, path: Path) -> None:
         }
         for camera in rig.cameras
     ]
-    path.write_text(json.dumps({"up": rig.up, "cameras": entries}, indent=1) + "\n")
+    write_file(path, json.dumps({"up": rig.up, "cameras": entries}, indent=1) + "\n")

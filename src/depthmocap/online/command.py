@@ -27,6 +27,7 @@ from depthmocap.geometry import Rig, load_rig
 from depthmocap.offline import load_pipeline
 from depthmocap.online.dashboard import draw_dashboard
 from depthmocap.online.live import LiveCapture, Replay, Segment
+from depthmocap.owning import owns
 from depthmocap.pose.track import Bones, Smoothing
 from depthmocap.settings import check_above_0, check_at_least
 
@@ -73,6 +74,7 @@ class LiveSettings:
     triggered: bool = False
 
 
+@owns(folder="out")
 def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str, Any]:
     """Run until the end, ``seconds`` or Ctrl-C, write everything, and return the summary.
 

@@ -20,6 +20,7 @@ from rich.progress import Progress
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.frames import View
+from depthmocap.output import replacing
 from depthmocap.pose.cloud import LABELS, LabelledView, Labels, label_people, merge_views
 from depthmocap.pose.features import FEATURE_COUNT, FeatureFrame, cloud_features
 from depthmocap.pose.parts import PART_COLUMNS, PART_COUNT, part_statistics
@@ -102,10 +103,8 @@ def collect(settings: PoseSamples, folder: Path, console: Console | None = None)
                     rows.append(_measure(sample, settings, classifier, rng))
                     progress.advance(task)
                 if rows:
-                    partial = file.with_suffix(".tmp")
-                    with partial.open("wb") as out:
-                        np.savez(out, **_stack(rows))  # pyright: ignore[reportArgumentType]
-                    partial.replace(file)
+                    with replacing(file) as unfinished:
+                        np.savez(unfinished, **_stack(rows))  # pyright: ignore[reportArgumentType]
     return _read([file for file in files if file.exists()], settings)
 
 

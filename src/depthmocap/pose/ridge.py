@@ -25,6 +25,7 @@ from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
+from depthmocap.output import replacing
 from depthmocap.pose.features import FEATURE_COUNT, FeatureFrame
 
 #: Strengths among which cross-validation chooses.
@@ -253,7 +254,7 @@ def _save(models: tuple[RidgePose, ...], path: Path) -> None:
     weights = np.stack([model.weights for model in models])
     with np.errstate(over="ignore"):
         halves = weights.astype(np.float16)
-    with path.open("wb") as file:
+    with replacing(path) as unfinished, unfinished.open("wb") as file:  # a name of any ending
         np.savez_compressed(
             file,
             format=np.array(_FORMAT),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Literal
 
@@ -12,6 +11,8 @@ import tyro
 from rich.console import Console
 
 from depthmocap.errors import InputError, missing_extra
+from depthmocap.output import write_json
+from depthmocap.owning import owns
 from depthmocap.pose.cloud import LABELS, Labels
 from depthmocap.pose.collect import Collected, PoseSamples, collect, read_samples, with_parts_of
 from depthmocap.pose.ridge import RidgeBank, fit_ridge
@@ -59,6 +60,7 @@ class PoseTraining:
             )
 
 
+@owns(folder="out")
 def train_pose(settings: PoseTraining, console: Console | None = None) -> list[Path]:
     """Collect the samples and fit the estimators; returns the files written.
 
@@ -72,7 +74,7 @@ def train_pose(settings: PoseTraining, console: Console | None = None) -> list[P
             raise missing_extra("torch", "train") from None
     console = console or Console(stderr=True)
     samples = collect(settings.source, settings.out / "samples", console)
-    (settings.out / "settings.json").write_text(json.dumps(plain_settings(settings), indent=1) + "\n")
+    write_json(settings.out / "settings.json", plain_settings(settings))
     written = []
     if settings.estimators != "votes":
         written += [fit_bank(samples, labels, settings, console) for labels in LABELS if _has(samples, labels)]

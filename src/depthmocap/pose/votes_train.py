@@ -18,7 +18,7 @@ from jaxtyping import Float, Float32
 from numpy import ndarray
 from rich.console import Console
 from rich.progress import Progress
-from safetensors.torch import save_file
+from safetensors.torch import save as serialise
 from torch import nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
@@ -26,6 +26,7 @@ from depthmocap.body.regions import REGION_COUNT
 from depthmocap.body.skeleton import MIRROR as MIRRORED_JOINTS
 from depthmocap.classify.train import load_weights
 from depthmocap.geometry.transforms import rotation_between
+from depthmocap.output import replacing, write_file
 from depthmocap.pose.cloud import LABELS, Labels
 from depthmocap.pose.collect import Collected
 from depthmocap.pose.parts import (
@@ -257,8 +258,8 @@ def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Pat
                 progress.console.print({k: round(v, 3) for k, v in row.items()})
     network = _best(average, network).eval()
     half = {k: v.half() if v.ndim > 1 else v for k, v in network.state_dict().items()}
-    save_file({k: v.contiguous() for k, v in half.items()}, out / "votes.safetensors")
-    (out / "votes.jsonl").write_text("".join(json.dumps(row) + "\n" for row in history))
+    write_file(out / "votes.safetensors", serialise({k: v.contiguous() for k, v in half.items()}))
+    write_file(out / "votes.jsonl", "".join(json.dumps(row) + "\n" for row in history))
     return export_votes(network, out / "votes.onnx")
 
 
@@ -292,7 +293,6 @@ def export_votes(network: nn.Module, path: Path) -> Path:
     program.optimize()
     model = program.model_proto
     store_half(model)
-    partial = path.with_suffix(".tmp")
-    onnx.save(model, partial)
-    partial.replace(path)
+    with replacing(path) as unfinished:
+        onnx.save(model, unfinished)
     return path

@@ -16,7 +16,7 @@ from numpy import ndarray
 from PIL import Image
 
 from depthmocap.errors import InputError
-from depthmocap.output import writing
+from depthmocap.output import write_file
 
 Cell = str | int | float | None
 
@@ -202,5 +202,4 @@ def write_report(path: Path, title: str, sections: Sequence[ReportSection]) -> N
 </body>
 </html>
 """
-    with writing(path):
-        path.write_text(document, encoding="utf-8")
+    write_file(path, document)

@@ -18,7 +18,7 @@ from depthmocap.body.skeleton import BONES, JOINT_INDEX
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry import z_up_from
-from depthmocap.output import writing
+from depthmocap.output import replacing
 
 #: The paper's colours (Fig. 7), lightened for a dark ground.
 TRUTH_COLOUR = (92, 160, 255)
@@ -296,7 +296,8 @@ def animation(frames: Sequence[UInt8[ndarray, "h w 3"]], fps: float | int, path:
     if len({frame.shape for frame in frames}) > 1:
         raise InputError(f"all frames of an animation must be of one size, got {sorted({f.shape for f in frames})}")
     first, *rest = [Image.fromarray(frame) for frame in frames]
-    with writing(path):
+    with replacing(path) as unfinished:
         first.save(
-            path, "WEBP", save_all=True, append_images=rest, duration=round(1000 / fps), loop=0, quality=70, method=4
-        )
+            unfinished, "WEBP", save_all=True, append_images=rest, duration=round(1000 / fps), loop=0, quality=70,
+            method=4,
+        )  # fmt: skip

@@ -22,10 +22,10 @@ from depthmocap.datasets.shards import ShardReader, ShardWriter
 from depthmocap.datasets.ubc3v import Section, kinect2_camera, sections
 from depthmocap.frames import View
 from depthmocap.geometry import look_at
+from depthmocap.owning import own_folder
 from depthmocap.synth.output import generate as generate_module
 from depthmocap.synth.output import units
 from depthmocap.synth.output.generate import SynthSettings, generate
-from depthmocap.synth.output.lock import folder_lock
 from depthmocap.synth.sample import CameraRange, Recipe, Sample
 from file_contents import tree
 
@@ -158,7 +158,7 @@ def test_folders_that_cannot_be(tmp_path: Path) -> None:
 def test_one_run_at_a_time(tmp_path: Path) -> None:
     folder = tmp_path / "easy-pose/valid"
     folder.mkdir(parents=True)
-    with folder_lock(folder), pytest.raises(InputError, match=r"is being written by process \d+ on"):
+    with own_folder(folder), pytest.raises(InputError, match=r"is being written by process \d+ on"):
         run(tmp_path)
     (folder / ".lock").write_text("process 1 on a machine that lost its power")
     run(tmp_path)

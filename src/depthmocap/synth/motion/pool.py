@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from depthmocap.errors import InputError
+from depthmocap.output import replacing
 from depthmocap.synth.motion.clips.motion import reason
 from depthmocap.synth.motion.mocap import SPLITS
 
@@ -66,11 +67,14 @@ class PosturePool:
         return np.flatnonzero((self.splits == SPLITS.index(split)) & (self.simple | (not simple)))
 
     def save(self, path: Path) -> None:
-        """Write the pool, about 100 bytes a posture. The file appears whole or not at all."""
-        part = path.with_name(f".{path.name}.part.npz")
-        try:
+        """Write the pool, about 100 bytes a posture. The file appears whole or not at all.
+
+        Raises:
+            InputError: when it cannot be written, or does not end in .npz.
+        """
+        with replacing(path) as unfinished:
             np.savez_compressed(
-                part,
+                unfinished,
                 format=np.array(_FORMAT),
                 postures=np.rint(self.postures / _STEP_RAD).clip(-32767, 32767).astype(np.int16),
                 clips=self.clips.astype(np.int32),
@@ -80,9 +84,6 @@ class PosturePool:
                 clip_names=np.array(self.clip_names, dtype=np.str_),
                 report=np.array(json.dumps(self.report)),
             )
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
 
     @classmethod
     def load(cls, path: Path) -> PosturePool:

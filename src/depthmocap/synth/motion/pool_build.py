@@ -16,7 +16,8 @@ from rich.table import Table
 
 from depthmocap.body.posture import mirror_posture
 from depthmocap.errors import InputError
-from depthmocap.output import check_outputs, writing
+from depthmocap.output import check_outputs
+from depthmocap.owning import owns
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.motion.clips.skeletons import read_mapping
 from depthmocap.synth.motion.cover import Cover, farthest_points
@@ -88,6 +89,7 @@ class _Quota:
     easy: int
 
 
+@owns(files=("out",))
 def build_pool(settings: PoolBuild) -> PosturePool:
     """Read the clips one by one, pick, fill, write the pool, and print what it holds. Memory grows with the number of
     postures asked for (about 1.5 kB each), not with that of the clips.
@@ -144,9 +146,7 @@ def build_pool(settings: PoolBuild) -> PosturePool:
     postures = np.concatenate([postures for postures, _ in parts])
     pool = PosturePool(postures, clips, splits, simple, kinds, tuple(clip.name for clip in read), report)
     report["counts"] = counts_of(pool)
-    with writing(settings.out):
-        settings.out.parent.mkdir(parents=True, exist_ok=True)
-        pool.save(settings.out)
+    pool.save(settings.out)
     _print_report(console, pool, settings)
     return pool
 

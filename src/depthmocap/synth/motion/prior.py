@@ -12,7 +12,8 @@ from sklearn.mixture import GaussianMixture
 
 from depthmocap.body.posture import mirror_posture
 from depthmocap.errors import InputError
-from depthmocap.output import writing
+from depthmocap.output import replacing
+from depthmocap.owning import owns
 from depthmocap.settings import check_seed
 from depthmocap.synth.motion.mocap import Clip, without_heading
 from depthmocap.synth.motion.postures import load_clips, thin
@@ -44,6 +45,7 @@ class PriorTraining:
         check_seed(self.seed)
 
 
+@owns(files=("out",))
 def train_prior(settings: PriorTraining) -> Path:
     """Fit the prior on the training clips and their mirror images; returns its path (about 120 kB).
 
@@ -87,6 +89,5 @@ def fit_prior(clips: Sequence[Clip], settings: PriorTraining) -> None:
         "means": np.asarray(mixture.means_),
         "factors": factors,
     }
-    with writing(settings.out):
-        settings.out.parent.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(settings.out, **{name: array.astype(np.float16) for name, array in arrays.items()})
+    with replacing(settings.out) as unfinished:
+        np.savez_compressed(unfinished, **{name: array.astype(np.float16) for name, array in arrays.items()})

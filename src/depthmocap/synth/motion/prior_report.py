@@ -16,6 +16,7 @@ from depthmocap.body.model import BodyModel, Phenotype
 from depthmocap.errors import InputError
 from depthmocap.kernels.cover import nearest_distances
 from depthmocap.output import check_outputs, write_json
+from depthmocap.owning import owns
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.motion.limits import within_limits
 from depthmocap.synth.motion.mocap import Clip, without_heading
@@ -64,6 +65,7 @@ class PostureReport:
         check_seed(self.seed)
 
 
+@owns(files=("json",))
 def report_postures(settings: PostureReport) -> dict[str, Any]:
     """Compare the prior, training clips, and training clips as they are varied for training, with held-out clips:
     distances to the nearest, both ways, and plausibility. Prints a table; returns (and writes) the numbers.

@@ -21,7 +21,7 @@ from scipy.spatial import KDTree
 
 from depthmocap.body.regions import REGION_COUNT, REGION_NAMES
 from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
-from depthmocap.output import writing
+from depthmocap.output import write_file
 from depthmocap.synth.sample import Sample
 
 _MOST_SAMPLES = 1024
@@ -236,11 +236,7 @@ def write_card(folder: Path, title: str, facts: dict[str, Any], rows: Sequence[C
             ),
         ],
     )  # fmt: skip
-    path = folder / "card.json"
-    unfinished = path.with_suffix(".json.part")
-    with writing(path):
-        unfinished.write_text(json.dumps({**facts, **numbers}, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-        unfinished.replace(path)
+    write_file(folder / "card.json", json.dumps({**facts, **numbers}, indent=1, ensure_ascii=False) + "\n")
 
 
 def _text(value: Any) -> str | int | float | None:

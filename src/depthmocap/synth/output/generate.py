@@ -28,10 +28,10 @@ from rich.text import Text
 from depthmocap import __version__
 from depthmocap.cores import usable_cores
 from depthmocap.errors import InputError
-from depthmocap.output import writing
+from depthmocap.output import write_file, writing
+from depthmocap.owning import LOCK_FILE, own_folder
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.output.card import CardRow, card_stride, write_card
-from depthmocap.synth.output.lock import folder_lock
 from depthmocap.synth.output.units import Folder, Layout, Made, Unit, describing_units, make_unit, open_folder
 from depthmocap.synth.output.workers import ordered
 from depthmocap.synth.sample import Recipe
@@ -134,7 +134,7 @@ def _make_set(settings: SynthSettings, console: Console) -> Path:
                 "choose another --out or empty it"
             )
     try:
-        with folder_lock(folder):
+        with own_folder(folder):
             identity = _claim(folder, settings)
             target = open_folder(folder, settings.format)
             samples = max(settings.samples, target.begun)
@@ -160,7 +160,7 @@ def _make_set(settings: SynthSettings, console: Console) -> Path:
 
 def _others(folder: Path) -> list[str]:
     """Files of a folder besides the settings and the lock, by name."""
-    return sorted(path.name for path in folder.iterdir() if path.name not in (".lock", "settings.json"))
+    return sorted(path.name for path in folder.iterdir() if path.name not in (LOCK_FILE, "settings.json"))
 
 
 def _claim(folder: Path, settings: SynthSettings) -> str:
@@ -184,9 +184,7 @@ def _claim(folder: Path, settings: SynthSettings) -> str:
         if changed:
             raise InputError(f"{folder} was made with other settings ({', '.join(changed)}): choose another --out")
     else:
-        unfinished = path.with_suffix(".json.part")
-        unfinished.write_text(text)
-        unfinished.replace(path)
+        write_file(path, text)
     return hashlib.sha256(json.dumps(wanted, sort_keys=True).encode()).hexdigest()[:16]
 
 

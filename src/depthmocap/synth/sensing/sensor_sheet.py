@@ -17,7 +17,7 @@ from rich.console import Console
 from depthmocap.body.model import BodyModel
 from depthmocap.errors import InputError
 from depthmocap.geometry.transforms import look_at
-from depthmocap.output import writing
+from depthmocap.output import replacing
 from depthmocap.settings import check_seed
 from depthmocap.synth.motion.perform import pose_sequence
 from depthmocap.synth.motion.sequence import demo_motion
@@ -88,9 +88,8 @@ def sensor_sheet(path: Path, seed: int = 0) -> None:
             0.0, -0.04, name, transform=axes[row, first].transAxes, va="top", fontsize=8, color="#2a2f35"
         )
     canvas.draw()
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).save(path, quality=80)
+    with replacing(path) as unfinished:
+        Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).save(unfinished, quality=80)
 
 
 def _pictures(person: PosedPerson, preset: SensorPreset, rng: np.random.Generator) -> list[UInt8[ndarray, "_h _w 3"]]:
