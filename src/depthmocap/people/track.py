@@ -40,9 +40,9 @@ MEASURE_S, OVER_M, HEIGHTS, LEAST_HEIGHTS, RECOGNISE_S = 0.09, 0.1, 60, 6, 3.0
 #: Somebody has been seen from head to foot when their feet were seen, so much surface (m²), and their height does not
 #: grow by more than this over what it was (metres).
 FEET_M, WHOLE_M2, SETTLED_M = 0.3, 0.4, 0.02
-#: What stays within this (metres) for so long (s) is a thing: if it was never tall, if it was there before the
-#: background was known and has not moved, and otherwise.
-STILL_M, LOW_STILL_S, DOUBT_STILL_S, STILL_S = 0.012, 3.0, 10.0, 60.0
+#: What stays within this (metres) for so long (s) is a thing: if it is not tall, and if it was there before the
+#: background was known and has not gone anywhere. Others may stand still as long as they like.
+STILL_M, LOW_STILL_S, DOUBT_STILL_S = 0.012, 3.0, 10.0
 #: Who was seen in a blob of their own for less than this (s) does not divide another's; numbers of those who begin this
 #: near to somebody (metres) wait as long.
 ALONE_S, NEAR_M = 0.4, 0.7
@@ -55,9 +55,11 @@ class Track:
     """Somebody, or something, on the plan (metres, seconds).
 
     Attributes:
-        number: the person's, from 1; 0 until it is certain that this is a person.
+        number: the person's, from 1; 0 while it is not certain that this is a person.
+        own_number: the last that they had: theirs whenever they are a person again.
         top_m: how tall they were, as a slow maximum.
         doubted: was there before the background was known.
+        settled: was taken for a thing, and has not been a person since; ``born_s`` and ``birth_m`` are of then.
         area_m2: seen now; 0 when hidden.
         whole: has been seen from head to foot.
         alone_s: how long they were seen in a blob of their own.
@@ -71,6 +73,8 @@ class Track:
     born_s: float
     doubted: bool
     number: int = 0
+    own_number: int = 0
+    settled: bool = False
     velocity_mps: Float[ndarray, "2"] = dataclasses.field(default_factory=lambda: np.zeros(2))
     area_m2: float = 0.0
     seen_s: float = 0.0
@@ -96,7 +100,7 @@ class Track:
         velocity = self.velocity_mps + _SPEED * off / passed_s
         self.velocity_mps = velocity * min(1.0, _FASTEST_MPS / max(float(np.linalg.norm(velocity)), 1e-9))
         # Up soon, down slowly: whoever bends down is as tall as before. What was a thing so far may be beside somebody.
-        up_s = 1.0 if not self.number and now_s - self.born_s > 1 else 0.25
+        up_s = 1.0 if not self.number and (self.settled or now_s - self.born_s > 1) else 0.25
         self.top_m += (top_m - self.top_m) * min(1.0, passed_s / (up_s if top_m > self.top_m else 20.0))
         self.area_m2, self.seen_s = area_m2, now_s
         self.whole |= bottom_m < FEET_M and area_m2 > WHOLE_M2 and top_m - self.top_m < SETTLED_M
@@ -116,16 +120,26 @@ class Track:
 
     @property
     def went_m(self) -> float:
-        """How far it is from where it was first seen."""
+        """How far it is from where it was born."""
         return float(np.linalg.norm(self.place_m - self.birth_m))
 
+    def be(self, number: int) -> None:
+        """Be somebody."""
+        self.number = self.own_number = number
+        self.settled = False
+
     def settle(self, now_s: float) -> None:
-        """Somebody who has not stirred for long is a thing, until it goes somewhere."""
-        limit_s = LOW_STILL_S if self.top_m < TALL_M else STILL_S
-        if self.doubted and self.went_m < WENT_M:
-            limit_s = min(limit_s, DOUBT_STILL_S)
-        if now_s - self.still_since_s > limit_s:
-            self.number, self.born_s, self.birth_m = 0, np.inf, self.place_m.copy()
+        """What has not stirred for long is a thing until it does, but for the tall that came while the room was known:
+        people stand still."""
+        if self.top_m < TALL_M:
+            limit_s = LOW_STILL_S
+        elif self.doubted and self.went_m < WENT_M:
+            limit_s = DOUBT_STILL_S
+        else:
+            return
+        if not self.settled and now_s - self.still_since_s > limit_s:
+            self.number, self.settled = 0, True
+            self.born_s, self.birth_m = now_s, self.place_m.copy()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -247,7 +261,7 @@ class Tracks:
         self._end_twins(divided)
         for track in [track for track in self.alive if now_s - track.seen_s > GONE_S]:
             self.alive.remove(track)
-            if track.number:
+            if track.own_number:
                 self._away.append(track)
         self._away = [track for track in self._away if now_s - track.seen_s < AWAY_S]
         for blob in np.flatnonzero(owner == 0).tolist():
@@ -280,23 +294,30 @@ class Tracks:
     def _recognise(self, track: Track, now_s: float) -> None:
         """Give a number to what has shown that it is a person."""
         age_s = now_s - track.born_s
-        certain = not track.doubted or (age_s >= DOUBT_S and track.area_m2 > STIRRING_M2)
+        stirred = track.still_since_s > track.born_s
+        if track.settled:
+            certain = stirred and not track.doubted
+        else:
+            certain = not track.doubted or (age_s >= DOUBT_S and track.area_m2 > STIRRING_M2)
         tall = track.top_m >= TALL_M and certain
         stirs = (
-            not self._numbers and track.area_m2 > STIRRING_M2 and age_s >= STIRRING_S
-            and track.still_since_s > track.born_s
-        )  # fmt: skip
+            not self._numbers and not track.settled and track.area_m2 > STIRRING_M2 and age_s >= STIRRING_S and stirred
+        )
         if not (tall or stirs or track.went_m > WENT_M):
+            return
+        if track.own_number:
+            track.be(track.own_number)
             return
         near = [each for each in self.alive if each.number and np.linalg.norm(each.place_m - track.place_m) < NEAR_M]
         if near and track.alone_s < ALONE_S:
             return
         if self._away and np.isnan(track.stature_m) and age_s < RECOGNISE_S:
             return
-        track.number = self._returned(track.stature_m)
-        if not track.number:
+        number = self._returned(track.stature_m)
+        if not number:
             self._numbers += 1
-            track.number = self._numbers
+            number = self._numbers
+        track.be(number)
 
     def _returned(self, stature_m: float) -> int:
         """The number of the one who is away and as tall, who is not away any more then; 0 where nobody is for sure."""
@@ -313,7 +334,7 @@ class Tracks:
         if np.isnan(best.stature_m) or off_m[order[0]] > SAME_HEIGHT_M or not clearly:
             return 0
         self._away.remove(best)
-        return best.number
+        return best.own_number
 
 
 def _is_body(blobs: Blobs, blob: int) -> bool:
