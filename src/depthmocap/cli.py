@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from depthmocap import __version__
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError, missing_extra
 
 
@@ -95,12 +96,14 @@ _COMMANDS = (
 
 
 def _print_help(console: Console) -> None:
-    console.print(f"depthmocap {__version__}: human motion capture from several depth cameras\n")
+    console.print(f"depthmocap {__version__}: human motion capture from several depth cameras")
+    console.print()
     table = Table.grid(padding=(0, 3))
     for command in _COMMANDS:
         table.add_row(f"  depthmocap {command.words}", command.help)
     console.print(table)
-    console.print("\ndepthmocap COMMAND --help tells a command's options.")
+    console.print()
+    console.print("depthmocap COMMAND --help tells a command's options.")
 
 
 def _find(arguments: list[str]) -> tuple[_Command, list[str]] | None:
@@ -145,22 +148,26 @@ def _parse(settings: type, arguments: list[str], prog: str) -> Any:
         raise SystemExit(1) from None
 
 
+def _tell_error(console: Console, error: InputError) -> None:
+    console.print(f"error: {error}", style="red", soft_wrap=True)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; returns the exit status. Bad input is one line on stderr and status 2."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    console, errors = Console(), Console(stderr=True)
+    console, errors = Terminal(), Terminal(stderr=True)
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         _print_help(console)
         return 0
     if arguments[0] == "--version":
-        console.print(__version__, highlight=False)
+        console.print(__version__)
         return 0
     found = _find(arguments)
     if found is None and arguments[-1] in ("-h", "--help"):
         _print_help(console)
         return 0
     if found is None:
-        errors.print(f"error: no command '{' '.join(arguments[:2])}'", style="red", highlight=False, markup=False)
+        _tell_error(errors, InputError(f"no command '{' '.join(arguments[:2])}'"))
         _print_help(errors)
         return 2
     command, rest = found
@@ -176,12 +183,11 @@ def main(arguments: list[str] | None = None) -> int:
         settings = _parse(getattr(module, command.settings), rest, f"depthmocap {command.words}")
         getattr(module, command.function)(settings)
     except InputError as error:
-        errors.print(f"error: {error}", style="red", highlight=False, markup=False, soft_wrap=True)
+        _tell_error(errors, error)
         return 2
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        message = f"error: {where}{error.strerror or error}"
-        errors.print(message, style="red", highlight=False, markup=False, soft_wrap=True)
+        _tell_error(errors, InputError(f"{where}{error.strerror or error}"))
         return 2
     except KeyboardInterrupt:
         errors.print("stopped", style="red")

@@ -7,9 +7,9 @@ import importlib.resources
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
+from depthmocap.console import Terminal
 from depthmocap.offline import RunSettings, run
 
 
@@ -26,7 +26,7 @@ class DemoSettings:
 
 def demo(settings: DemoSettings) -> dict[str, Any]:
     """Run the demo and tell where things are; returns the summary."""
-    console = Console()
+    console = Terminal()
     recording = Path(str(importlib.resources.files("depthmocap") / "demo_recording"))
     summary = run(RunSettings(recording, settings.out), console)
     table = Table(title="depthmocap demo", show_header=False)
@@ -36,5 +36,5 @@ def demo(settings: DemoSettings) -> dict[str, Any]:
     table.add_row("mean joint error", f"{summary['error']['mean_joint_error_cm']:.2f} cm against the true joints")
     table.add_row("within 10 cm", f"{summary['error']['within_10cm']:.1%}")
     console.print(table)
-    console.print(f"Look at [bold]{settings.out / 'report.html'}[/bold]; the skeleton is in pose.bvh, .csv and .trc.")
+    console.print(f"Look at {settings.out / 'report.html'}; the skeleton is in pose.bvh, .csv and .trc.")
     return summary

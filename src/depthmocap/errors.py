@@ -1,8 +1,17 @@
 """The one error type that user input can cause."""
 
+from depthmocap.text import harmless, shortened
+
+#: Letters of a message.
+LONGEST = 300
+
 
 class InputError(ValueError):
-    """Bad input. The message names the file or value, what was expected, and the fix."""
+    """Bad input. The message names the file or value, what was expected, and the fix; it is one line of bounded length,
+    whatever it quotes."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(shortened(harmless(message), LONGEST))
 
 
 def missing_extra(package: str, extra: str) -> InputError:

@@ -20,6 +20,7 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.capture.open import open_recording
 from depthmocap.capture.recording import Recording
 from depthmocap.classify.runtime import Classifier
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.export import CsvWriter, write_bvh, write_trc
 from depthmocap.export.files import PeopleFiles
@@ -137,7 +138,7 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     Raises:
         InputError: when the recording cannot be read, or no frame of it shows a person.
     """
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     source = open_source(settings.recording, settings.rig)
     with console.status("reading the background and the weights"):
         pipeline = load_pipeline(
@@ -242,9 +243,9 @@ def _few(problems: list[str], most: int = 4) -> list[str]:
 def _tell(summary: dict[str, Any], out: Path, console: Console) -> None:
     """What came of it, and what was wrong."""
     gaps = f", {summary['gaps']} without a person" if summary["gaps"] else ""
-    console.print(f"{summary['frames']} frames{gaps}; written to {out}", highlight=False)
+    console.print(f"{summary['frames']} frames{gaps}; written to {out}")
     for problem in _few(summary["problems"]):
-        console.print(f"  {problem}", highlight=False, markup=False)
+        console.print(f"  {problem}")
 
 
 def _recorded_rate(poses: list[Pose]) -> float:

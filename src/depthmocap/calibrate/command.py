@@ -25,6 +25,7 @@ from depthmocap.capture.open import open_recording
 from depthmocap.capture.recording import Recording
 from depthmocap.capture.segment import PersonSegmenter
 from depthmocap.classify.runtime import Classifier
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry import Rig, save_rig, transform_points, z_up_from
@@ -197,7 +198,7 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
     Raises:
         InputError: when the recording cannot be read, cameras cannot be placed, or files cannot be written.
     """
-    console = console or Console()
+    console = console or Terminal()
     recording = open_recording(settings.recording)
     check_outputs(
         {"--out": settings.out, "--report": settings.page, "--json": settings.json},
@@ -266,4 +267,4 @@ def _tell(found: Calibration, lines: list[str], console: Console) -> None:
         table.add_row(*("–" if v is None else f"{v:.2f}" if isinstance(v, float) else str(v) for v in row))
     console.print(table)
     for line in lines:
-        console.print(line, highlight=False, markup=False)
+        console.print(line)

@@ -23,6 +23,7 @@ from depthmocap.calibrate.command import CalibrateSettings, Calibration, find_ri
 from depthmocap.calibrate.pairs import align
 from depthmocap.calibrate.trial_scene import TrialScene
 from depthmocap.capture.open import open_recording
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.geometry import Rig, rigid_inverse, save_rig, transform_points
 from depthmocap.offline import load_pipeline
@@ -82,7 +83,7 @@ def run_trial(trial: Trial, console: Console) -> list[dict[str, Any]]:
             rows.append({"scene": name, "repeat": repeat, **compare(path, true_rig, found)})
             write_json(trial.out / "trial.json", rows)
             shown = ", ".join(f"{key} {value:.2f}" for key, value in rows[-1].items() if isinstance(value, float))
-            console.print(f"{name}, {repeat}: {shown}, {found.grade}, floor by {found.floor}", highlight=False)
+            console.print(f"{name}, {repeat}: {shown}, {found.grade}, floor by {found.floor}")
     return rows
 
 
@@ -148,4 +149,4 @@ def _joint_error_cm(path: Path, rig: Rig) -> float:
 
 
 if __name__ == "__main__":
-    run_trial(tyro.cli(Trial), Console())
+    run_trial(tyro.cli(Trial), Terminal())

@@ -16,6 +16,7 @@ from depthmocap.capture.modes import Wanted
 from depthmocap.capture.open import open_recording
 from depthmocap.capture.recorded import Pace, RecordedCamera
 from depthmocap.capture.source import OPEN_S, CameraError, DepthSource, FoundCamera
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 
 #: Module of each back end. It has ``find()``, the connected devices, and ``make(name, address, wanted)``, a source.
@@ -156,7 +157,7 @@ def find_cameras() -> tuple[list[FoundCamera], dict[str, str]]:
 
 def list_cameras(settings: CamerasSettings, console: Console | None = None) -> list[FoundCamera]:
     """Print the connected cameras, and for each kind that could not be looked for what is missing."""
-    console = console or Console()
+    console = console or Terminal()
     found, unable = find_cameras()
     table = Table()
     for column in ("camera", "model", "serial", "problem"):
@@ -165,7 +166,7 @@ def list_cameras(settings: CamerasSettings, console: Console | None = None) -> l
         table.add_row(camera.spec, camera.model, camera.serial, camera.problem)
     console.print(table if found else "no depth camera was found")
     for back_end, reason in unable.items():
-        console.print(f"• {back_end}: {reason}", markup=False, highlight=False)
+        console.print(f"• {back_end}: {reason}")
     return found
 
 

@@ -21,6 +21,7 @@ from depthmocap.capture.mcap_recording import McapRecording
 from depthmocap.capture.mcap_writer import McapSink, McapWriter, check_name
 from depthmocap.capture.open import open_recording
 from depthmocap.capture.recording import Recording, RecordingWriter
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 
 #: Names that every command takes for files of other makers, so that a folder of such a name could not be read back.
@@ -54,7 +55,7 @@ def convert(settings: ConvertSettings, console: Console | None = None) -> dict[s
         InputError: when the source is no recording, or the new one exists, cannot be written, or is named as a file of
             another kind.
     """
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     if settings.out.suffix.lower() in _FOREIGN:
         raise InputError(f"the new recording must be a file that ends in .mcap, or a folder, got {settings.out}")
     source = open_recording(settings.source)
@@ -93,8 +94,8 @@ def convert(settings: ConvertSettings, console: Console | None = None) -> dict[s
                 for stamp, joints in truth:
                     writer.write(stamp, {}, joints)
     for problem in [*source.problems, *lost]:
-        console.print(f"• {problem}", markup=False, highlight=False)
-    console.print(f"{frames} frames of {len(source.rig.names)} cameras are in {settings.out}", markup=False)
+        console.print(f"• {problem}")
+    console.print(f"{frames} frames of {len(source.rig.names)} cameras are in {settings.out}")
     return {"frames": frames, "lost": len(lost), "truth_rows": len(truth)}
 
 
@@ -117,7 +118,7 @@ def recover(settings: RecoverSettings, console: Console | None = None) -> dict[s
     Raises:
         InputError: when nothing is in the file, or the new one exists, cannot be written, or is not named as MCAP.
     """
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     check_name("the new file", settings.out)
     frames = damaged = 0
     with McapFile(settings.source) as file:
@@ -153,7 +154,6 @@ def recover(settings: RecoverSettings, console: Console | None = None) -> dict[s
     state = "was whole already" if lost_bytes == 0 and file.complete else f"ended with {lost_bytes} bytes of no use"
     console.print(
         f"{frames} frames are in {settings.out}; {settings.source} {state}, {damaged} messages were damaged",
-        markup=False,
     )
     return {"frames": frames, "damaged": damaged, "lost_bytes": lost_bytes}
 
@@ -212,7 +212,7 @@ def info(settings: InfoSettings, console: Console | None = None) -> dict[str, An
     """
     from rich.table import Table
 
-    console = console or Console()
+    console = console or Terminal()
     found = recording_info(open_recording(settings.recording))
     table = Table(title=found["recording"], title_justify="left")
     for column in ("camera", "size", "frames", "a second", "lost", "depth unit", "clock", "background"):
@@ -230,5 +230,5 @@ def info(settings: InfoSettings, console: Console | None = None) -> dict[str, An
         f"{found['compression']:.2f}:1, up is {found['up']}, {found['true_joints']} true poses"
     )
     for problem in found["problems"]:
-        console.print(f"• {problem}", markup=False, highlight=False)
+        console.print(f"• {problem}")
     return found

@@ -21,6 +21,7 @@ from depthmocap.capture.recorded import Pace
 from depthmocap.capture.recorder import McapRecorder
 from depthmocap.capture.recording import UnfitFrameError
 from depthmocap.capture.source import CameraError, DepthSource, NoFrame, place, unsourced
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, load_rig
 
@@ -74,7 +75,7 @@ def record(settings: RecordSettings, console: Console | None = None) -> dict[str
         InputError: when no source can be opened as the rig says, no frame came, or the file cannot be written any
             further (every frame before is in it).
     """
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     if not settings.sources:
         raise InputError("name at least one camera: depthmocap cameras lists them")
     if settings.seconds is not None and not settings.seconds > 0:
@@ -89,7 +90,7 @@ def record(settings: RecordSettings, console: Console | None = None) -> dict[str
         sources = [source for source in sources if source.name not in failed]
         problems += [source.problems.popleft() for source in sources for _ in range(len(source.problems))]
         for problem in problems:
-            console.print(f"• {problem}", markup=False, highlight=False)
+            console.print(f"• {problem}")
         backgrounds = {s.name: raw for s in sources if (raw := s.raw_background) is not None}
         up = rig.up if rig else sources[0].up
         writer = stack.enter_context(McapWriter(settings.out, Rig(cameras, up), backgrounds, settings.coding))
@@ -174,7 +175,7 @@ def _record(sources: list[DepthSource], writer: McapWriter, seconds: float | Non
         raise InputError(
             f"no frame came in {time.monotonic() - start:.1f} s: {_why_none(counts)}; {writer.path} holds no frame"
         )
-    console.print(f"{sum(writer.frames.values())} frames are in {writer.path}", markup=False, highlight=False)
+    console.print(f"{sum(writer.frames.values())} frames are in {writer.path}")
     return {
         "seconds": time.monotonic() - start,
         "frames": dict(writer.frames),

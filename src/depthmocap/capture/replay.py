@@ -15,6 +15,7 @@ from depthmocap.capture.mcap_writer import Topics, load_sdk
 from depthmocap.capture.open import open_recording
 from depthmocap.capture.recorded import Pace
 from depthmocap.capture.recording import Recording
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 
 #: Rig and calibration are told this often, because viewers may come at any time (recording time).
@@ -68,7 +69,7 @@ def replay(settings: ReplaySettings, console: Console | None = None) -> int:
     Raises:
         InputError: when it is no recording, the port is taken or none, or the speed is not positive.
     """
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     if not settings.speed > 0:
         raise InputError(f"--speed must be positive, got {settings.speed}")
     if not 0 <= settings.port <= 65535:
@@ -81,7 +82,7 @@ def replay(settings: ReplaySettings, console: Console | None = None) -> int:
     except RuntimeError as error:
         raise InputError(f"cannot serve on {settings.host}:{settings.port} ({error}): choose another --port") from None
     topics = Topics(sdk, context, recording.rig, "raw")
-    console.print(f"open ws://{settings.host}:{server.port} in Foxglove; Ctrl-C ends", markup=False, highlight=False)
+    console.print(f"open ws://{settings.host}:{server.port} in Foxglove; Ctrl-C ends")
     try:
         with Progress(console=console) as progress:
             task = progress.add_task("playing", total=len(timeline(recording)))

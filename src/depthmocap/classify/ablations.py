@@ -13,6 +13,7 @@ from rich.table import Table
 from depthmocap.classify.networks import FastNet
 from depthmocap.classify.train import ClassifierTraining, evaluate_windows, load_weights, make_network, train_classifier
 from depthmocap.classify.windows import Ingredient, WindowSource
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.output import write_json
 from depthmocap.owning import owns
@@ -84,7 +85,7 @@ def train_ablations(settings: AblationTraining, console: Console | None = None) 
             "--images must be at least 100, --valid-images at least 1, and --only name a run; got "
             f"{settings.images}, {settings.valid_images}, {settings.only}"
         )
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     claim_folder(settings.out, settings, "ablations", ("out", "workers", "device", "only"))
     source = WindowSource("fast", "synth", "open", settings.postures, settings.seed)
     valid = source.valid(settings.valid_images)

@@ -18,6 +18,7 @@ from rich.table import Table
 from depthmocap.classify.networks import NETWORKS
 from depthmocap.classify.train import ClassifierTraining, Optimiser, evaluate_windows, load_weights, train_classifier
 from depthmocap.classify.windows import WindowSource
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.output import write_json
 from depthmocap.owning import owns
@@ -129,7 +130,7 @@ def train_curriculum(settings: CurriculumTraining, console: Console | None = Non
             "--scale must be above 0 and at most 1, --valid-images at least 1, --optimisers one or two; got "
             f"{settings.scale}, {settings.valid_images}, {settings.optimisers}"
         )
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     # Where and how fast it runs, and what is added to it, make no other experiment.
     claim_folder(settings.out, settings, "a curriculum", ("out", "workers", "device", "optimisers", "control"))
     found: dict[str, Any] = {
@@ -223,7 +224,7 @@ def _print(found: dict[str, Any], console: Console) -> None:
         for row in _rows(measured):
             table.add_row(*row)
         console.print(table)
-        console.print(_verdict(measured), highlight=False)
+        console.print(_verdict(measured))
 
 
 def _write_report(settings: CurriculumTraining, found: dict[str, Any]) -> None:

@@ -14,6 +14,7 @@ from rich.progress import Progress
 from scipy.spatial.transform import Rotation
 
 from depthmocap.classify.runtime import Classifier
+from depthmocap.console import Terminal
 from depthmocap.cores import usable_cores
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, write_outputs
@@ -87,7 +88,7 @@ def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) ->
     """
     check_seed(settings.seed)
     check_views(settings.views)
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     if not (0 <= settings.misplaced_mm < np.inf and 0 <= settings.misplaced_deg <= 180):
         raise InputError("--misplaced-mm must be at least 0 and --misplaced-deg from 0 to 180")
     unknown = [name for name in settings.sets if name not in BENCH]

@@ -13,6 +13,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import Numbers, measures
 
@@ -66,11 +67,11 @@ def compare(settings: Comparison, console: Console | None = None) -> dict[str, d
     Raises:
         InputError: when a file cannot be read or the two are of different sets.
     """
-    console = console or Console()
+    console = console or Terminal()
     a, b = load_results(settings.a), load_results(settings.b)
     _check_same(settings, a, b)
     for letter, path in (("A", settings.a), ("B", settings.b)):
-        console.print(f"{letter}: {path}", markup=False, highlight=False, soft_wrap=True)
+        console.print(f"{letter}: {path}", soft_wrap=True)
     values: dict[str, dict[str, tuple[float, float]]] = {}
     for name in a:
         ours, theirs = measures(a[name]), measures(b[name])
@@ -81,7 +82,7 @@ def compare(settings: Comparison, console: Console | None = None) -> dict[str, d
         values[name] = {words: (_number(x), _number(y)) for words, (x, y) in (rows | joints).items()}
         for key, x, y in ((key, _told(a[name], key), _told(b[name], key)) for key in _HOW):
             if x != y:
-                console.print(f"{key} of {name}: {x} in A, {y} in B", markup=False, highlight=False, soft_wrap=True)
+                console.print(f"{key} of {name}: {x} in A, {y} in B", soft_wrap=True)
         table = Table(title=name)
         table.add_column("")
         for title in ("A", "B", "B − A", "B / A"):

@@ -17,6 +17,7 @@ from numpy import ndarray
 from rich.console import Console
 from rich.table import Table
 
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.output import check_outputs, write_json
 from depthmocap.owning import owns
@@ -69,7 +70,7 @@ def compare_estimators(settings: EstimatorComparison, console: Console | None = 
     Raises:
         InputError: when the samples cannot be read or are of too few clips.
     """
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     samples = read_samples(settings.samples, PoseSamples(views=settings.views))
     out = set(np.unique(samples.groups)[grouped_folds(np.unique(samples.groups), settings.folds) == 0].tolist())
     numbers: dict[str, dict[str, dict[str, float]]] = {}

@@ -10,6 +10,7 @@ import tyro
 from rich.console import Console
 
 from depthmocap.classify.runtime import Classifier
+from depthmocap.console import Terminal
 from depthmocap.datasets.eval3d import Eval, Mask, joint_table
 from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
 from depthmocap.evaluate.observe import observe
@@ -49,7 +50,7 @@ def evaluate_eval(settings: EvalEvaluation, console: Console | None = None) -> d
     Raises:
         InputError: when files are missing or damaged, or hold nothing to fit to or to test.
     """
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     names = joint_table(settings.names) if settings.names is not None else None
     source = Eval(settings.root, names, settings.mask)
     found = observe(source, load_estimator(settings.estimator), Classifier(settings.weights), settings.every, console)

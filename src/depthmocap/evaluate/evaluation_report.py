@@ -111,7 +111,7 @@ def print_results(title: str, results: Mapping[str, Numbers], console: Console) 
         table.add_row(words, *(_cell(*column[words]) if words in column else "" for column in columns))
     console.print(table)
     for problem in dict.fromkeys(problem for numbers in results.values() for problem in numbers.get("problems", [])):
-        console.print(f"noticed: {problem}", markup=False, highlight=False)
+        console.print(f"noticed: {problem}")
 
 
 def _cell(value: int | float, unit: str) -> str:

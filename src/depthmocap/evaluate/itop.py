@@ -10,6 +10,7 @@ import tyro
 from rich.console import Console
 
 from depthmocap.classify.runtime import Classifier
+from depthmocap.console import Terminal
 from depthmocap.datasets.itop import PARTS, Itop, Mask, Side
 from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
 from depthmocap.evaluate.observe import observe
@@ -49,7 +50,7 @@ def evaluate_itop(settings: ItopEvaluation, console: Console | None = None) -> d
     Raises:
         InputError: when files are missing or damaged, or hold nothing to fit to or to test.
     """
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     # Both are opened before an hour is spent on one of them.
     test = Itop(settings.root, settings.view, "test", settings.mask)
     train = Itop(settings.root, settings.view, "train", settings.mask) if settings.refit == "ridge" else None

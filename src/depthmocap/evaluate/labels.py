@@ -14,6 +14,7 @@ from rich.table import Table
 
 from depthmocap.body.regions import REGION_COUNT, REGION_NAMES, UNLABELLED
 from depthmocap.classify.runtime import Classifier
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.evaluate.label_charts import LabelExample, label_grid, region_bars, reliability_diagram
 from depthmocap.evaluate.label_measures import LEAST_PIXELS, PARTS, BorderAccuracy, Calibration, PartSwaps
@@ -150,7 +151,7 @@ def evaluate_labels(settings: LabelsEvaluation, console: Console | None = None) 
     check_seed(settings.seed)
     if settings.samples < 1 or settings.pictures < 1:
         raise InputError(f"--samples and --pictures must be at least 1, got {settings.samples}, {settings.pictures}")
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     classifier = Classifier(settings.weights)
     quality, shown = LabelQuality(), []
     with Progress(console=console) as progress:
@@ -176,7 +177,7 @@ def evaluate_labels(settings: LabelsEvaluation, console: Console | None = None) 
     for name, value in _summary(numbers):
         table.add_row(name, value)
     console.print(table)
-    console.print(f"[bold]{settings.out / 'report.html'}[/bold]", highlight=False)
+    console.print(f"{settings.out / 'report.html'}", style="bold")
     return numbers
 
 

@@ -15,6 +15,7 @@ from rich.table import Table
 
 from depthmocap.body.regions import MIRROR, REGION
 from depthmocap.classify.runtime import Classifier
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
@@ -127,7 +128,7 @@ def evaluate_labels2d(settings: Labels2dEvaluation, console: Console | None = No
     }
     if settings.json is not None:
         write_json(settings.json, numbers)
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     table = Table(title=f"{settings.folder.name}: {pictures} pictures, {numbers['joints']} joints")
     for heading in ("joint", "on a region of its own", "of"):
         table.add_column(heading, justify="left" if heading == "joint" else "right")

@@ -20,6 +20,7 @@ from numpy import ndarray
 from rich.console import Console
 
 from depthmocap.classify.runtime import Classifier
+from depthmocap.console import Terminal
 from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet
 from depthmocap.datasets.mhad import MHAD_JOINTS, MhadSet
 from depthmocap.errors import InputError
@@ -199,7 +200,7 @@ def evaluate_mhad(settings: MhadEvaluation, console: Console | None = None) -> d
     Raises:
         InputError: see ``measure_mhad``, ``MhadSet`` and ``read_joint_tables``.
     """
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     tables = read_joint_tables(settings.joint_table)
     source = MhadSet(settings.root, settings.subjects, settings.actions, settings.every)
     classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)

@@ -18,6 +18,7 @@ from rich.table import Table
 
 from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.classify.runtime import Classifier
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.evaluate.moving import FPS, clip_motions, moving_frames, prior_motions
 from depthmocap.evaluate.temporal_metrics import TemporalMetrics, temporal_metrics
@@ -109,7 +110,7 @@ def evaluate_motion(settings: MotionEvaluation, console: Console | None = None) 
     Raises:
         InputError: clips, weights or sensors that cannot be read, or estimates in ``out`` of other settings.
     """
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     tracks = make_tracks(settings, console)
     numbers: dict[str, Any] = {
         "settings": plain_settings(settings),

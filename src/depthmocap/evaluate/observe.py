@@ -16,6 +16,7 @@ from rich.progress import Progress
 from depthmocap.body.regions import REGION_COUNT
 from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
 from depthmocap.classify.runtime import Classifier
+from depthmocap.console import description
 from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet
 from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
@@ -107,7 +108,7 @@ def observe(
     turn = z_up_from(source.up).T
     with Progress(console=console) as progress:
         frames = progress.track(
-            itertools.islice(source, 0, None, every), _length(source, every), description=source.name
+            itertools.islice(source, 0, None, every), _length(source, every), description=description(source.name)
         )
         for frame in frames:
             if not frame.views or not np.isfinite(frame.joints_world).all(1).any():

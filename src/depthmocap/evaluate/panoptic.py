@@ -14,6 +14,7 @@ import tyro
 from rich.console import Console
 
 from depthmocap.classify.runtime import Classifier
+from depthmocap.console import Terminal
 from depthmocap.datasets.panoptic import CONFIDENCE, PanopticSet
 from depthmocap.datasets.panoptic_files import MColor
 from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
@@ -56,7 +57,7 @@ def evaluate_panoptic(settings: PanopticEvaluation, console: Console | None = No
     Raises:
         InputError: when no frame can be evaluated, or there is nothing to fit to.
     """
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     source = PanopticSet(settings.root, settings.kinects, settings.every, settings.confidence, settings.m_color)
     classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)
     found = comparable(observe(source, estimator, classifier, 1, console), settings.refit)

@@ -20,6 +20,7 @@ from rich.table import Table
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.capture.segment import PersonSegmenter
 from depthmocap.classify.runtime import Classifier
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.evaluate.encounter import Encounter, Moment
 from depthmocap.evaluate.stories import Beside, Empty, Meeting, Story, Visits
@@ -102,7 +103,7 @@ class _True:
 @owns(files=("json",))
 def evaluate_people(settings: PeopleEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Make the scenes, follow the people in them and print what became of it; returns the numbers."""
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     rng = np.random.default_rng(settings.seed)
     numbers: dict[str, Any] = {"settings": plain_settings(settings)}
     errors: dict[str, list[ndarray]] = {}

@@ -11,6 +11,7 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
+from depthmocap.console import Terminal, description
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
 from depthmocap.evaluate.protocol import joint_numbers
@@ -52,14 +53,14 @@ def evaluate_recording(settings: RecordingEvaluation, console: Console | None = 
     Raises:
         InputError: when the recording cannot be read, or no frame of it has a true joint.
     """
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     source = open_source(settings.recording)
     pipeline = load_pipeline(
         source, settings.segment, settings.smooth, settings.weights, settings.estimator,
         lag_frames=settings.lag_frames, bridge_s=settings.bridge_s, bones=settings.bones,
     )  # fmt: skip
     truths, poses, spent_ms = {}, {}, []
-    for frames in track(source, settings.recording.name, len(source), console=console):
+    for frames in track(source, description(settings.recording.name), len(source), console=console):
         result = pipeline(frames)
         # A filter that waits gives a frame's pose later, and then for good.
         poses[result.pose.timestamp_ns] = result.pose

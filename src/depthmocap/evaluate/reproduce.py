@@ -12,6 +12,7 @@ from typing import Any
 from rich.console import Console
 
 from depthmocap.classify.runtime import Classifier
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.evaluate.reproduce_real import RealPart, reproduce_eval, reproduce_mhad
 from depthmocap.evaluate.reproduce_ubc3v import Ubc3vPart, reproduce_ubc3v
@@ -63,7 +64,7 @@ def reproduce(settings: Reproduction, console: Console | None = None) -> dict[st
     Raises:
         InputError: without a data set, or when none of them can be read, or the weights cannot.
     """
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     parts = _parts(settings)
     if all(part is None for part in parts.values()):
         raise InputError("give at least one data set: --ubc3v, --mhad or --eval with its folder")
@@ -84,7 +85,7 @@ def reproduce(settings: Reproduction, console: Console | None = None) -> dict[st
             sections += found
         except InputError as error:
             notes.append(f"{name} is left out: {error}")
-            console.print(notes[-1], markup=False, highlight=False)
+            console.print(notes[-1])
     if not sections:
         raise InputError(" ".join(notes))
     network = settings.net3 or "the packaged one"
@@ -96,7 +97,7 @@ def reproduce(settings: Reproduction, console: Console | None = None) -> dict[st
     )
     document = {"settings": plain_settings(settings), "notes": notes, **numbers}
     write_json(settings.out / "numbers.json", document)
-    console.print(f"wrote {settings.out / 'report.html'}", markup=False, highlight=False)
+    console.print(f"wrote {settings.out / 'report.html'}")
     return numbers
 
 

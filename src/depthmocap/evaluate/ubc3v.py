@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from depthmocap.classify.runtime import Classifier
+from depthmocap.console import Terminal
 from depthmocap.datasets.ubc3v import CAMERAS, image_paths, iterate, sections
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, write_outputs
@@ -52,7 +53,7 @@ def evaluate_ubc3v(settings: Ubc3vEvaluation, console: Console | None = None) ->
     check_views(settings.views)
     if settings.limit is not None and settings.limit < 1:
         raise InputError(f"--limit must be at least 1, got {settings.limit}")
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     paths = sections(settings.root, settings.subset, settings.split)
     # By the folders alone, so that nobody waits for hours to be told; of none, the reader tells more.
     cameras = max(sum(image_paths(path, name, 0)[0].parent.is_dir() for name in CAMERAS) for path in paths)

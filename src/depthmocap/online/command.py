@@ -20,6 +20,7 @@ from depthmocap.capture.open import open_recording
 from depthmocap.capture.recorded import Pace
 from depthmocap.capture.recorder import McapRecorder
 from depthmocap.capture.sync import SyncSettings
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.export.files import PeopleFiles, PoseFiles
 from depthmocap.frames import Pose
@@ -82,7 +83,7 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str
         InputError: when a setting is out of range, a source is not what it says, no camera can be opened, or no set
             came at all.
     """
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     if not settings.sources:
         raise InputError("name at least one camera or recording: depthmocap cameras lists cameras")
     if settings.seconds is not None and not settings.seconds > 0:
@@ -199,7 +200,7 @@ def _tell(summary: dict[str, Any], settings: LiveSettings, console: Console) -> 
         f"latency {latency['p50']:.0f} ms (p95 {latency['p95']:.0f} ms)"
     )
     for problem, times in summary["problems"].items():
-        console.print(f"• {problem}{f' ({times} times)' if times > 1 else ''}", markup=False, highlight=False)
+        console.print(f"• {problem}{f' ({times} times)' if times > 1 else ''}")
     for path in (settings.out, settings.record):
         if path is not None:
-            console.print(f"written to {path}", markup=False, highlight=False)
+            console.print(f"written to {path}")

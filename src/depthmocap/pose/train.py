@@ -10,6 +10,7 @@ import numpy as np
 import tyro
 from rich.console import Console
 
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.output import write_json
 from depthmocap.owning import owns
@@ -72,7 +73,7 @@ def train_pose(settings: PoseTraining, console: Console | None = None) -> list[P
             import torch  # noqa: F401  # pyright: ignore[reportUnusedImport]
         except ModuleNotFoundError:
             raise missing_extra("torch", "train") from None
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     samples = collect(settings.source, settings.out / "samples", console)
     write_json(settings.out / "settings.json", plain_settings(settings))
     written = []

@@ -17,6 +17,7 @@ from PIL import Image
 
 from depthmocap.errors import InputError
 from depthmocap.output import write_file
+from depthmocap.text import harmless
 
 Cell = str | int | float | None
 
@@ -104,8 +105,13 @@ class ReportSection:
     figures: Sequence[ReportFigure] = ()
 
 
+def _escape(text: str) -> str:
+    """Plain text as HTML; line breaks stay."""
+    return html.escape("\n".join(map(harmless, text.split("\n"))))
+
+
 def _prose(text: str) -> str:
-    return re.sub(r"`([^`]+)`", r"<code>\1</code>", html.escape(text))
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", _escape(text))
 
 
 def _is_number(cell: Cell) -> bool:
@@ -130,13 +136,13 @@ def _table(table: ReportTable) -> str:
         any(map(_is_number, column)) and all(cell is None or _is_number(cell) for cell in column)
         for column in zip(*table.rows, strict=True)
     ] or [False] * len(table.header)
-    caption = f"<caption>{html.escape(table.caption)}</caption>" if table.caption else ""
+    caption = f"<caption>{_escape(table.caption)}</caption>" if table.caption else ""
 
     def cells(tag: str, texts: Sequence[str]) -> str:
         parts = []
         for text, number in zip(texts, numeric, strict=True):
             style = ' class="number"' if number else ' class="long"' if tag == "td" and len(text) > 40 else ""
-            parts.append(f"<{tag}{style}>{html.escape(text)}</{tag}>")
+            parts.append(f"<{tag}{style}>{_escape(text)}</{tag}>")
         return f"<tr>{''.join(parts)}</tr>"
 
     body = "\n".join(cells("td", [_cell_text(cell, table.decimals) for cell in row]) for row in table.rows)
@@ -162,7 +168,7 @@ def _figure(figure: ReportFigure) -> str:
     style = ' class="chart"' if figure.chart else ""
     # Charts are drawn at twice the size they are shown at, for sharp screens.
     scale = 2 if figure.chart else 1
-    caption = html.escape(figure.caption)
+    caption = _escape(figure.caption)
     return (
         f'<figure><img{style} src="{source}" alt="{caption}" width="{width // scale}" height="{height // scale}">'
         + (f"<figcaption>{caption}</figcaption>" if caption else "")
@@ -179,24 +185,24 @@ def write_report(path: Path, title: str, sections: Sequence[ReportSection]) -> N
     """
     parts = []
     for i, section in enumerate(sections):
-        parts.append(f'<section id="s{i + 1}">\n<h2>{html.escape(section.heading)}</h2>')
+        parts.append(f'<section id="s{i + 1}">\n<h2>{_escape(section.heading)}</h2>')
         parts += [f"<p>{_prose(paragraph)}</p>" for paragraph in section.paragraphs]
         parts += [_table(table) for table in section.tables]
         parts += [_figure(figure) for figure in section.figures]
         parts.append("</section>")
-    links = [f'<a href="#s{i + 1}">{html.escape(section.heading)}</a>' for i, section in enumerate(sections)]
+    links = [f'<a href="#s{i + 1}">{_escape(section.heading)}</a>' for i, section in enumerate(sections)]
     nav = f"<nav>{' '.join(links)}</nav>" if len(links) > 2 else ""
     document = f"""<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{html.escape(title)}</title>
+<title>{_escape(title)}</title>
 <style>{_STYLE}</style>
 </head>
 <body>
 <main>
-<header><h1>{html.escape(title)}</h1>{nav}</header>
+<header><h1>{_escape(title)}</h1>{nav}</header>
 {chr(10).join(parts)}
 </main>
 </body>

@@ -15,6 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from depthmocap.body.posture import mirror_posture
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.output import check_outputs
 from depthmocap.owning import owns
@@ -97,7 +98,7 @@ def build_pool(settings: PoolBuild) -> PosturePool:
     Raises:
         InputError: no readable clip, a bad mapping or manifest, or a file that cannot be written.
     """
-    console = Console()
+    console = Terminal()
     joints = read_mapping(settings.mapping) if settings.mapping else {}
     folder = ClipFolder.open(settings.clips, ClipReading(joints, settings.skeletons))
     rest = anny_rest()
@@ -237,13 +238,12 @@ def _print_report(console: Console, pool: PosturePool, settings: PoolBuild) -> N
     console.print(
         f"{report['clips_read']} clips, {report['frames']} frames; left out: {report['flipped_frames']} around flips, "
         f"{report['impossible_frames']} impossible; {len(skipped)} clips skipped",
-        highlight=False,
     )
     for name, reason in skipped.items():
-        console.print(f"  skipped {name}: {reason}", highlight=False, markup=False, soft_wrap=True)
+        console.print(f"  skipped {name}: {reason}", soft_wrap=True)
     for skeleton, clips in report["skeletons"].items():
         if skeleton.startswith("guessed"):
-            console.print(f"  {clips} clips {skeleton}", highlight=False, markup=False, soft_wrap=True)
+            console.print(f"  {clips} clips {skeleton}", soft_wrap=True)
     table = Table("split", "postures", "easy", *KINDS, "stop")
     for split, counts in report["counts"].items():
         distances = report["distances_m"][split]
@@ -259,4 +259,4 @@ def _print_report(console: Console, pool: PosturePool, settings: PoolBuild) -> N
                 else "no clip falls in it;"
             )
             console.print(f"{split}: {held} of {wanted} postures: {why} give more clips", style="yellow")
-    console.print(f"wrote {settings.out} ({settings.out.stat().st_size / 1e6:.1f} MB)", highlight=False)
+    console.print(f"wrote {settings.out} ({settings.out.stat().st_size / 1e6:.1f} MB)")

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from sklearn.mixture import GaussianMixture
 
 from depthmocap.body.posture import mirror_posture
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.output import replacing
 from depthmocap.owning import owns
@@ -53,7 +53,7 @@ def train_prior(settings: PriorTraining) -> Path:
         InputError: when there are no readable clips.
     """
     fit_prior(load_clips(settings.postures), settings)
-    Console().print(f"wrote {settings.out}", highlight=False)
+    Terminal().print(f"wrote {settings.out}")
     return settings.out
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
-from rich.console import Console
 from rich.table import Table
 
 from depthmocap.body.model import BodyModel, Phenotype
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.kernels.cover import nearest_distances
 from depthmocap.output import check_outputs, write_json
@@ -74,7 +74,7 @@ def report_postures(settings: PostureReport) -> dict[str, Any]:
         InputError: no readable clips, none held out or none for training, or a bad prior.
     """
     clips = load_clips(settings.clips)
-    console = Console()
+    console = Terminal()
     report: dict[str, Any] = {"settings": plain_settings(settings)}
     for simple in (False, True):
         if simple and not any(clip.simple for clip in clips):

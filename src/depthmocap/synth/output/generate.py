@@ -26,6 +26,7 @@ from rich.progress import (
 from rich.text import Text
 
 from depthmocap import __version__
+from depthmocap.console import Terminal
 from depthmocap.cores import usable_cores
 from depthmocap.errors import InputError
 from depthmocap.output import write_file, writing
@@ -101,7 +102,7 @@ def generate(settings: SynthSettings, console: Console | None = None) -> Path:
             raise InputError(f"--preset {settings.preset} tells --samples: leave out {settings.samples}")
     if settings.format == "ubc3v":
         _check_storable(settings.recipe)
-    console = console or Console(stderr=True)
+    console = console or Terminal(stderr=True)
     if settings.preset is None:
         return _make_set(settings, console)
     subset, samples = _PRESETS[settings.preset]
@@ -154,7 +155,7 @@ def _make_set(settings: SynthSettings, console: Console) -> Path:
         if isinstance(error, PermissionError):
             raise InputError(f"cannot write {error.filename or folder}: {error.strerror}") from None
         raise
-    console.print(f"{folder}: {samples} samples of {recipe.views} views, see card.html", highlight=False)
+    console.print(f"{folder}: {samples} samples of {recipe.views} views, see card.html")
     return folder
 
 

@@ -12,9 +12,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy import ndarray
 from PIL import Image
-from rich.console import Console
 
 from depthmocap.body.model import BodyModel
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.geometry.transforms import look_at
 from depthmocap.output import replacing
@@ -59,7 +59,7 @@ class SensorSheetSettings:
 def write_sensor_sheet(settings: SensorSheetSettings) -> None:
     """The command: see :func:`sensor_sheet`."""
     sensor_sheet(settings.out, settings.seed)
-    Console().print(f"wrote {settings.out}", highlight=False)
+    Terminal().print(f"wrote {settings.out}")
 
 
 def sensor_sheet(path: Path, seed: int = 0) -> None:

@@ -1,0 +1,37 @@
+"""The terminal: what is printed there is data, and can neither steer it nor forge lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.markup import escape
+from rich.segment import Segment
+from rich.text import Text
+
+from depthmocap.text import harmless
+
+
+class Terminal(Console):
+    """A console for which no text is markup. A string, also one in a table, is one line; nothing that is printed, by
+    whatever way, holds a control character that is not the console's own."""
+
+    def __init__(self, *, stderr: bool = False) -> None:
+        super().__init__(stderr=stderr, markup=False, highlight=False, emoji=False)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        return super().render_str(harmless(text), **options)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        for segment in super().render(renderable, options):
+            text = segment.text
+            if segment.control or text.isprintable() or text == "\n":
+                yield segment
+            else:
+                yield Segment("\n".join(map(harmless, text.split("\n"))), segment.style)
+
+
+def description(text: str) -> str:
+    """Text of others as the description of a progress bar, which would be read as markup."""
+    return escape(harmless(text))
