@@ -13,7 +13,8 @@ _QUOTED = re.compile(r"'[^']{40,}'|\"[^\"]{40,}\"|\[[^\[\]]{40,}\]|\([^()]{40,}\
 _LEFT = 24
 
 
-def _is_shown(letter: str) -> bool:
+def is_shown(letter: str) -> bool:
+    """Whether a letter is seen where it is printed, or is a space."""
     return letter.isprintable() or letter in _JOINERS or unicodedata.category(letter) == "Zs"
 
 
@@ -22,7 +23,7 @@ def harmless(text: str) -> str:
     that are no UTF-8) stands as Python writes it: ``\\x1b``."""
     if text.isprintable():
         return text
-    return "".join(c if _is_shown(c) else c.encode("unicode_escape").decode() for c in text)
+    return "".join(c if is_shown(c) else c.encode("unicode_escape").decode() for c in text)
 
 
 def shortened(text: str, most: int) -> str:

@@ -18,6 +18,7 @@ from depthmocap.capture.recorded import Pace, RecordedCamera
 from depthmocap.capture.source import OPEN_S, CameraError, DepthSource, FoundCamera
 from depthmocap.console import Terminal
 from depthmocap.errors import InputError
+from depthmocap.names import safe_name
 
 #: Module of each back end. It has ``find()``, the connected devices, and ``make(name, address, wanted)``, a source.
 BACK_ENDS = {
@@ -129,9 +130,9 @@ def _recorded(spec: str, pace: Pace) -> list[DepthSource]:
 
 
 def _called(back_end: str, address: str) -> str:
-    """A camera's name where the user gives none: of signs that folders and topics may have."""
+    """A camera's name where the user gives none."""
     stem = Path(address).stem if Path(address).suffix.lower() in _FILES else address
-    return re.sub(r"[^\w.-]+", "-", f"{back_end}-{stem}" if stem else back_end)
+    return safe_name(re.sub(r"[^\w.-]+", "-", f"{back_end}-{stem}" if stem else back_end))
 
 
 @dataclasses.dataclass(frozen=True)

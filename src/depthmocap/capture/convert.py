@@ -60,9 +60,6 @@ def convert(settings: ConvertSettings, console: Console | None = None) -> dict[s
         raise InputError(f"the new recording must be a file that ends in .mcap, or a folder, got {settings.out}")
     source = open_recording(settings.source)
     backgrounds = {name: raw for name in source.rig.names if (raw := source.raw_background(name)) is not None}
-    for name in source.rig.names:
-        if settings.out.suffix.lower() != ".mcap" and Path(name).name != name:
-            raise InputError(f"camera name {name!r} of {settings.source} cannot be a folder's name: convert to .mcap")
     lost: list[str] = []
     frames = 0
 

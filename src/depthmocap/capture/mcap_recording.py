@@ -35,6 +35,7 @@ from depthmocap.capture.mcap_writer import METADATA, SHARED_CLOCK, TRUTH_TOPIC, 
 from depthmocap.capture.recording import Recording
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, is_rigid
+from depthmocap.names import safe_names
 
 #: Enough of an image's message to hold its time.
 _HEAD_BYTES = 32
@@ -92,17 +93,26 @@ class McapRecording(Recording):
                 self._truth_messages = messages
         if not calibrations:
             raise InputError(f"{self.path} has no {CALIBRATION}: without it depth is no use; record with depthmocap")
-        self._images = self._by_camera(depth, calibrations)
+        names = safe_names(calibrations)  # others' frames are called as they like, such as /left/depth
+        for frame, name in names.items():
+            if name != frame:
+                self._note(f"{self.path}: camera {frame!r} is called {name!r} here, as files and folders can be")
+        images = self._by_camera(depth, calibrations)
+        self._images = {names[frame]: own for frame, own in images.items()}
         self._empty: dict[str, tuple[Channel, Message]] = {}
         for channel, messages in backgrounds:
             try:
-                self._empty[self._first(channel, messages).frame_id] = (channel, messages[0])
+                frame = self._first(channel, messages).frame_id
+                self._empty[names.get(frame, frame)] = (channel, messages[0])
             except InputError as error:
                 self._note(f"a background is left out: {error}")
-        cameras = tuple(self._camera(calibrations[name], transforms, self._images.get(name)) for name in calibrations)
+        cameras = tuple(
+            self._camera(name, calibrations[frame], self._pose(frame, transforms), self._images.get(name))
+            for frame, name in names.items()
+        )
         if not any(images.messages for images in self._images.values()):
-            raise InputError(f"{self.path} has no depth frame of its cameras ({', '.join(calibrations)})")
-        stamps = {name: list(self._images[name].messages) if name in self._images else [] for name in calibrations}
+            raise InputError(f"{self.path} has no depth frame of its cameras ({', '.join(names.values())})")
+        stamps = {name: list(self._images[name].messages) if name in self._images else [] for name in names.values()}
         return Rig(cameras, own.get("up", "z")), stamps
 
     def _check_first(self, name: str, stamps: list[int]) -> None:
@@ -195,9 +205,8 @@ class McapRecording(Recording):
         return found
 
     def _camera(
-        self, calibration: Calibration, transforms: dict[str, tuple[Transform, Channel]], images: _Images | None
+        self, name: str, calibration: Calibration, pose: Float[ndarray, "4 4"], images: _Images | None
     ) -> DepthCamera:
-        name = calibration.frame_id
         if calibration.model not in ("", "plumb_bob") or calibration.distortion.size not in (0, 5):
             raise InputError(
                 f"{self.path}: camera {name!r} has the lens model {calibration.model!r} with "
@@ -210,7 +219,7 @@ class McapRecording(Recording):
         k1, k2, p1, p2, k3 = calibration.distortion.tolist() or [0.0] * 5
         return DepthCamera(
             name, calibration.width, calibration.height, float(matrix[0, 0]), float(matrix[1, 1]),
-            float(matrix[0, 2]), float(matrix[1, 2]), self._pose(name, transforms), (k1, k2, p1, p2, k3), unit_m,
+            float(matrix[0, 2]), float(matrix[1, 2]), pose, (k1, k2, p1, p2, k3), unit_m,
         )  # fmt: skip
 
     def _pose(self, name: str, transforms: dict[str, tuple[Transform, Channel]]) -> Float[ndarray, "4 4"]:

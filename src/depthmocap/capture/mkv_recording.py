@@ -21,6 +21,7 @@ from depthmocap.capture.recording import Recording
 from depthmocap.capture.sdk import checked
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
+from depthmocap.names import safe_name
 
 #: Matroska's elements that hold others. They are walked through as if what is in them stood in a row, so that the sizes
 #: that a killed recorder did not write do not matter.
@@ -138,7 +139,8 @@ def _read(data: mmap.mmap) -> _Contents:
 
 
 class MkvRecording(Recording):
-    """The depth of an Azure Kinect's MKV file. The camera stands at the origin, and is called as the file."""
+    """The depth of an Azure Kinect's MKV file. The camera stands at the origin, and is called as the
+    file, as far as a camera can be."""
 
     def _load(self) -> tuple[Rig, dict[str, list[int]]]:
         path = self.path
@@ -158,7 +160,7 @@ class MkvRecording(Recording):
         mode = _MODES.get((depth.width, depth.height))
         if depth.fourcc != _FOURCC or mode is None:
             raise InputError(f"{path} has depth of an unknown form ({depth.fourcc!r}, {depth.width}×{depth.height})")
-        name = path.stem
+        name = safe_name(path.stem)
         camera = self._camera(name, depth, mode, found)
         size = 2 * depth.width * depth.height
         start_ns = self._start_ns(found)

@@ -164,9 +164,6 @@ class Recording:
                 raise InputError(f"{path} is a section of UBC3V, not a recording: pass it as a UBC3V section")
             raise InputError(f"{path} has no rig.json: {_LAYOUT}")
         rig = load_rig(path / "rig.json")
-        for name in rig.names:
-            if Path(name).name != name:
-                raise InputError(f"{path / 'rig.json'}: camera name {name!r} cannot be a folder's name; rename it")
         self._files = {name: _list_frames(path / name) for name in rig.names}
         if not any(self._files.values()):
             raise InputError(f"{path} has no frames of its cameras ({', '.join(rig.names)}): {_LAYOUT}")
@@ -355,8 +352,12 @@ class RecordingWriter:
             raise InputError(f"{path} exists already: choose a new folder for the recording")
         self.path, self.rig, self.compression = path, rig, compression
         self._truth_file = None
+        path.mkdir(parents=True, exist_ok=True)
         for name in rig.names:
-            (path / name).mkdir(parents=True, exist_ok=True)
+            try:
+                (path / name).mkdir()
+            except FileExistsError:  # as another camera's, where case makes no difference
+                raise InputError(f"{path}: camera {name!r} would share a folder with another: rename it") from None
         save_rig(rig, path / "rig.json")
         for name, raw in (backgrounds or {}).items():
             self._write_png(name, BACKGROUND_FILE, raw)

@@ -28,6 +28,7 @@ from numpy import ndarray
 from depthmocap.capture.hang import HangsError, within
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
+from depthmocap.names import check_camera_name
 
 #: How long the reading thread waits for a frame before it looks whether it shall stop.
 _POLL_S = 0.5
@@ -98,6 +99,8 @@ class DepthSource(abc.ABC):
     patience_s: float = 5.0
 
     def __init__(self, name: str) -> None:
+        """Raises InputError when the name cannot be a camera's."""
+        check_camera_name(name)
         self.name = name
         self.problems: collections.deque[str] = collections.deque()
         self._camera: DepthCamera | None = None

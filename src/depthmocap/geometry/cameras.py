@@ -16,6 +16,7 @@ from numpy import ndarray
 
 from depthmocap.errors import InputError
 from depthmocap.geometry.transforms import is_rigid, rigid_inverse, transform_points
+from depthmocap.names import check_camera_name
 from depthmocap.output import write_file
 
 #: No two cameras that see one person are this far apart (metres).
@@ -39,6 +40,10 @@ class DepthCamera:
     world_from_camera: Float[ndarray, "4 4"] = dataclasses.field(default_factory=lambda: np.eye(4))
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     depth_unit_m: float = 0.001
+
+    def __post_init__(self) -> None:
+        """Raises InputError when the name cannot be a camera's."""
+        check_camera_name(self.name)
 
     @property
     def matrix(self) -> Float[ndarray, "3 3"]:
@@ -155,6 +160,10 @@ def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
             "(columns of length 1 at right angles, determinant +1, last row 0 0 0 1); calibrate this camera again"
         )
     k1, k2, p1, p2, k3 = distortion
+    try:
+        check_camera_name(str(entry["name"]))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     camera = DepthCamera(
         str(entry["name"]), width, height, **numbers, world_from_camera=pose,
         distortion=(k1, k2, p1, p2, k3), depth_unit_m=unit,
