@@ -62,6 +62,12 @@ def test_calibration_of_each_mode(
     assert camera.distortion[0] == pytest.approx(0.52 - 0.86, abs=0.02)  # about what is left of the rational lens
 
 
+def test_the_camera_is_called_as_the_file_as_far_as_it_can_be(tmp_path: Path) -> None:
+    for file, name in (("take 1.mkv", "take 1"), ("con.mkv", "camera-con"), ("...mkv", "camera")):
+        write_mkv(tmp_path / file, frames()[:1])
+        assert MkvRecording(tmp_path / file).rig.names == (name,)
+
+
 def test_converted_and_as_a_camera(tmp_path: Path) -> None:
     pytest.importorskip("foxglove")
     write_mkv(tmp_path / "take.mkv", frames())

@@ -263,7 +263,7 @@ def test_file_names(folder: Path) -> None:
 def test_a_camera_name_must_be_a_folder_name(folder: Path) -> None:
     text = (folder / "rig.json").read_text()
     (folder / "rig.json").write_text(text.replace('"cam2"', '"../cam2"'))
-    with pytest.raises(InputError, match="cannot be a folder's name"):
+    with pytest.raises(InputError, match="cannot be a camera's name"):
         Recording(folder)
 
 
