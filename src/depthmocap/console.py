@@ -17,8 +17,9 @@ class Terminal(Console):
     """A console for which no text is markup. A string, also one in a table, is one line; nothing that is printed, by
     whatever way, holds a control character that is not the console's own."""
 
-    def __init__(self, *, stderr: bool = False) -> None:
-        super().__init__(stderr=stderr, markup=False, highlight=False, emoji=False)
+    def __init__(self, **options: Any) -> None:
+        """``options``: of rich's console."""
+        super().__init__(markup=False, highlight=False, emoji=False, **options)
 
     def render_str(self, text: str, **options: Any) -> Text:
         return super().render_str(harmless(text), **options)

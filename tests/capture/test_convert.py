@@ -22,6 +22,7 @@ from depthmocap.capture.recorded import Pace
 from depthmocap.capture.recording import Recording, RecordingWriter
 from depthmocap.capture.replay import ReplaySettings, play, replay
 from depthmocap.capture.source import CameraError, DepthFrame, DepthSource, NoFrame
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, look_at
 
@@ -98,7 +99,7 @@ def test_recording_stops_in_time(folder: Path, tmp_path: Path) -> None:
 
 
 def test_a_camera_of_the_rig_that_is_not_there_is_told(folder: Path, tmp_path: Path) -> None:
-    console = Console(record=True, width=150)
+    console = Terminal(record=True, width=150)
     settings = RecordSettings((f"{folder}#a",), tmp_path / "x.mcap", rig=folder / "rig.json")
     assert record(settings, console)["frames"] == {"a": 5}
     assert "the rig has a camera 'b', but no source of that name was given" in console.export_text()
@@ -108,7 +109,7 @@ def test_a_camera_that_does_not_fit_is_told_and_the_others_are_recorded(folder: 
     document = json.loads((folder / "rig.json").read_text())
     document["cameras"][0]["width"] = 25
     (tmp_path / "rig.json").write_text(json.dumps(document))
-    console = Console(record=True, width=200)
+    console = Terminal(record=True, width=200)
     told = record(RecordSettings((str(folder),), tmp_path / "x.mcap", rig=tmp_path / "rig.json"), console)
     assert told["frames"] == {"b": 6}
     assert "calibrated at 25×16" in told["states"]["a"]

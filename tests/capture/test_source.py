@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from depthmocap.capture import cameras
 from depthmocap.capture.cameras import CamerasSettings, find_cameras, list_cameras, make_sources, open_camera
@@ -23,6 +22,7 @@ from depthmocap.capture.source import (
     place,
     unsourced,
 )
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.geometry import DepthCamera, Rig
 from virtual_time import VirtualTime
@@ -312,7 +312,7 @@ def test_looking_for_cameras_never_fails(monkeypatch: pytest.MonkeyPatch, virtua
     for back_end, look in looks.items():
         monkeypatch.setattr(f"{cameras.BACK_ENDS[back_end]}.find", look)
     monkeypatch.setattr(cameras, "BACK_ENDS", {name: cameras.BACK_ENDS[name] for name in looks})
-    console = Console(record=True, width=150)
+    console = Terminal(record=True, width=150)
     assert list_cameras(CamerasSettings(), console) == [here]
     hang.set()
     text = console.export_text()

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fakes import Board, fake_pipeline
-from rich.console import Console
 
 from depthmocap.capture.convert import ConvertSettings, convert
 from depthmocap.capture.open import open_recording
 from depthmocap.capture.recording import RecordingWriter
 from depthmocap.capture.simulator import Faults, SimulatedCamera, Simulation
+from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.export import read_bvh, read_csv, read_trc
 from depthmocap.offline import load_pipeline
@@ -145,7 +145,7 @@ def test_it_ends_in_time_even_if_no_camera_delivers(recording, monkeypatch, virt
 def test_a_damaged_frame_of_a_recording_is_told(recording, tmp_path, virtual, realtime):
     bad = sorted((Path(recording) / "cam0").glob("*.png"))[12]
     bad.write_bytes(bad.read_bytes()[:-30])
-    console = Console(record=True, width=200)
+    console = Terminal(record=True, width=200)
     problems = run_live(LiveSettings((recording,), realtime=realtime), console)["problems"]
     assert [(bad.name in line, times) for line, times in problems.items()] == [(True, 1)]
     assert bad.name in console.export_text()
@@ -170,7 +170,7 @@ def test_a_camera_in_the_dark_is_told_and_counted(tmp_path, monkeypatch, virtual
             if 25 <= i < 75:
                 frames["cam1"][:] = 0
             writer.write(i * 40_000_000, frames)
-    console = Console(record=True, width=200)
+    console = Terminal(record=True, width=200)
     summary = run_live(LiveSettings((str(path),), segment="none"), console)
     assert summary["poses"] == 100
     assert summary["cameras"]["cam1"]["counts"]["dark"] == 50

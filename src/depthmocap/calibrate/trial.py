@@ -78,7 +78,7 @@ def run_trial(trial: Trial, console: Console) -> list[dict[str, Any]]:
             scene = dataclasses.replace(scene, seed=1000 * trial.seed + repeat)
             path = trial.out / f"{name} {repeat}".replace("°", "").replace(",", "").replace(" ", "_")
             true_rig = scene.write(path)
-            quiet = Console(file=io.StringIO())
+            quiet = Terminal(file=io.StringIO())
             found = find_rig(open_recording(path), CalibrateSettings(path), quiet)
             rows.append({"scene": name, "repeat": repeat, **compare(path, true_rig, found)})
             write_json(trial.out / "trial.json", rows)
