@@ -17,6 +17,7 @@ from rich.table import Table
 
 from depthmocap import __version__
 from depthmocap.console import Terminal
+from depthmocap.ending import ended_by_signals
 from depthmocap.errors import InputError, missing_extra
 
 
@@ -153,7 +154,14 @@ def _tell_error(console: Console, error: InputError) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command; returns the exit status. Bad input is one line on stderr and status 2."""
+    """Run one command; returns the exit status. Bad input is one line on stderr and status 2; SIGTERM and SIGHUP end
+    a command as Ctrl-C does, everything written, with status 143 and 129."""
+    with ended_by_signals() as ending:
+        status = _main(arguments)
+    return status if ending.status is None else ending.status
+
+
+def _main(arguments: list[str] | None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     console, errors = Terminal(), Terminal(stderr=True)
     if not arguments or arguments[0] in ("-h", "--help", "help"):

@@ -34,6 +34,7 @@ from scipy.spatial.transform import Rotation
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.capture.depth_codec import CODINGS, Coding, encode_depth
 from depthmocap.capture.recording import UnfitFrameError, check_frame
+from depthmocap.ending import finishing
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.geometry import DepthCamera, Rig
 
@@ -367,4 +368,5 @@ class McapWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        with finishing():
+            self.close()

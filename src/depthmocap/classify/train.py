@@ -27,6 +27,7 @@ from depthmocap.classify.networks import AccurateNet, FastNet, Network, PaperNet
 from depthmocap.classify.preprocess import NetworkName
 from depthmocap.classify.quantise import quantise
 from depthmocap.classify.windows import Batches, Ingredient, WindowSource, sorted_batches, training_batches
+from depthmocap.ending import finishing, leave_ending_to_parent
 from depthmocap.errors import InputError
 from depthmocap.output import write_file
 from depthmocap.owning import owns
@@ -233,7 +234,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
         prefetch_factor=6 if settings.workers else None,
         # Forking after OpenMP has run can hang the child.
         multiprocessing_context="spawn" if settings.workers else None,
-        persistent_workers=settings.workers > 0,
+        persistent_workers=settings.workers > 0, worker_init_fn=_begin_worker,
     )  # fmt: skip
 
     if network.learns_background:  # the windows of the paper's network are of one size
@@ -323,13 +324,18 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     return path
 
 
+def _begin_worker(_: int) -> None:
+    leave_ending_to_parent()
+
+
 @contextlib.contextmanager
 def _at_interruption(save: Callable[[], None]) -> Iterator[None]:
     """Save when Ctrl-C ends what is within."""
     try:
         yield
     except KeyboardInterrupt:
-        save()
+        with finishing():
+            save()
         raise
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from depthmocap.ending import finishing
 from depthmocap.errors import InputError
 from depthmocap.export.bvh import write_bvh
 from depthmocap.export.csv import CsvWriter, read_csv
@@ -56,8 +57,12 @@ class PoseFiles:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._csv.__exit__(kind, error, trace)
-        self.summary["interrupted"] = self.summary.get("interrupted", False) or kind is not None
+        with finishing():
+            self._csv.__exit__(kind, error, trace)
+            self._finish(kind is not None)
+
+    def _finish(self, cut_off: bool) -> None:
+        self.summary["interrupted"] = self.summary.get("interrupted", False) or cut_off
         if self._last_ns is not None:
             self._animate()
         write_json(self._folder / "summary.json", self.summary)
@@ -117,5 +122,6 @@ class PeopleFiles:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for files in self._files.values():
-            files.__exit__(kind, error, trace)
+        with finishing():
+            for files in self._files.values():
+                files.__exit__(kind, error, trace)

@@ -9,6 +9,7 @@ import socket
 from collections.abc import Callable, Generator, Iterable
 from typing import Any, TypeVar
 
+from depthmocap.ending import keeping_handlers
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.synth.output.workers import limit_threads
 
@@ -44,7 +45,8 @@ def ordered_on_ray(
     if ours:
         try:
             _knock(address)
-            ray.init(address=address, log_to_driver=False, logging_level=logging.WARNING)
+            with keeping_handlers():
+                ray.init(address=address, log_to_driver=False, logging_level=logging.WARNING)
         except (OSError, ValueError, RuntimeError) as error:
             reason = str(error).partition("\n")[0]
             raise InputError(f"no Ray cluster at --ray {address} ({reason}): start one, or give local") from None

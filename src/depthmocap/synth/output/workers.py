@@ -9,17 +9,18 @@ import multiprocessing
 import os
 import pickle
 import queue
-import signal
 import sys
 import threading
 import traceback
 from collections.abc import Callable, Generator, Iterable
 from multiprocessing.connection import Connection, wait
 from multiprocessing.reduction import ForkingPickler
+from multiprocessing.util import Finalize
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import cv2
 
+from depthmocap.ending import leave_ending_to_parent
 from depthmocap.errors import InputError
 
 _Task = TypeVar("_Task")
@@ -115,6 +116,8 @@ class _Worker(Generic[_Task]):
         self._process = _CONTEXT.Process(target=_work, args=(theirs,), daemon=True)
         self._process.start()
         theirs.close()
+        # Python waits for its processes at the end, of whose signals it sends these hear none.
+        Finalize(self, self._process.kill, exitpriority=1)
         #: Number and task of what it has not answered.
         self.under_way: collections.deque[tuple[int, _Task]] = collections.deque()
 
@@ -154,7 +157,7 @@ class _Worker(Generic[_Task]):
 
 def _work(pipe: Connection) -> None:
     """What a worker does."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all; the parent decides
+    leave_ending_to_parent()
     limit_threads()
     messages: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(pipe, messages), daemon=True).start()
