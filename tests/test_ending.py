@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-import subprocess
-import sys
-import textwrap
-from pathlib import Path
 
 import pytest
 
@@ -80,15 +75,3 @@ def _hit_parent(task: int) -> int:
 @posix
 def test_workers_leave_it_to_the_parent() -> None:
     assert list(ordered(_hit_parent, range(4), 1)) == list(range(4))
-
-
-ENDED = """
-import os, signal, sys
-signal.signal(signal.SIGINT, signal.default_int_handler)
-if {ignored}:
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
-sys.path[:0] = {tests!r}
-from test_run import make_recording
-from depthmocap import cli, offline
-import pathlib
-"""

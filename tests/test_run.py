@@ -3,16 +3,17 @@
 import dataclasses
 import json
 import shutil
+import signal
 
 import numpy as np
 import pytest
 
-from depthmocap import InputError, RunSettings, load_pipeline, open_source, run
+from depthmocap import InputError, RunSettings, load_pipeline, offline, open_source, run
 from depthmocap.body.model import REST_POSTURE
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.capture.recording import RecordingWriter
 from depthmocap.cli import main
-from depthmocap.export import read_bvh, read_csv, read_trc
+from depthmocap.export import CsvWriter, read_bvh, read_csv, read_trc, write_trc
 from depthmocap.geometry import DepthCamera, Rig, load_rig, look_at, save_rig
 from depthmocap.synth.render import render_body
 
@@ -133,6 +134,32 @@ def test_a_long_pause_costs_the_bvh_alone(recording, tmp_path, capsys):
 def test_gaps_are_not_bridged_without_a_filter(recording):
     with pytest.raises(InputError, match="bridged by the filters"):
         load_pipeline(recording, "none", "none", bridge_s=0.1)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_signals_end_a_run_with_everything_written(recording, tmp_path, monkeypatch, name):
+    """One while it works, and another while it writes, as of a supervisor that is tired of waiting."""
+    out, number = tmp_path / "out", getattr(signal, name)
+    write, written = CsvWriter.write, []
+
+    def write_two(self, pose):
+        write(self, pose)
+        written.append(pose)
+        if len(written) == 2:
+            signal.raise_signal(number)
+
+    def write_trc_late(*arguments):
+        monkeypatch.setattr("depthmocap.ending._SAME_S", 0.0)
+        signal.raise_signal(signal.SIGTERM)
+        write_trc(*arguments)
+
+    monkeypatch.setattr(CsvWriter, "write", write_two)
+    monkeypatch.setattr(offline, "write_trc", write_trc_late)
+    assert main(["run", str(recording), "--out", str(out), "--segment", "none", "--smooth", "none"]) == 128 + number
+    assert len(read_csv(out / "pose.csv")[0]) == len(read_trc(out / "pose.trc")[0]) == 2
+    assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["interrupted"]
+    assert {path.name for path in out.iterdir()} == {*offline.RESULTS}
 
 
 @pytest.mark.parametrize("factor", [1e-6, 1e-8])

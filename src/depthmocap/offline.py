@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import contextlib
 import dataclasses
 import platform
 import time
@@ -21,6 +22,7 @@ from depthmocap.capture.open import open_recording
 from depthmocap.capture.recording import Recording
 from depthmocap.classify.runtime import Classifier
 from depthmocap.console import Terminal
+from depthmocap.ending import finishing
 from depthmocap.errors import InputError
 from depthmocap.export import CsvWriter, write_bvh, write_trc
 from depthmocap.export.files import PeopleFiles
@@ -138,7 +140,11 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     Raises:
         InputError: when the recording cannot be read, or no frame of it shows a person.
     """
-    console = console or Terminal(stderr=True)
+    with contextlib.ExitStack() as last:
+        return _run(settings, console or Terminal(stderr=True), last)
+
+
+def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) -> dict[str, Any]:
     source = open_source(settings.recording, settings.rig)
     with console.status("reading the background and the weights"):
         pipeline = load_pipeline(
@@ -152,7 +158,6 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
         pipeline.reset()
     pictures = Pictures(len(source), source.up) if settings.report else None
 
-    # One row a frame, appended at once, so that an interruption cannot part them.
     rows: list[tuple[Pose, Float[ndarray, "18 3"], dict[str, float]]] = []
     delivered: dict[str, int] = dict.fromkeys(source.rig.names, 0) if isinstance(source, Recording) else {}
     interrupted = False
@@ -173,12 +178,13 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
         recent_ms: collections.deque[float] = collections.deque(maxlen=30)
 
         def finished(pose: Pose) -> None:
-            frames, result, milliseconds = waiting.popleft()
-            csv.write(pose)
-            truth = frames.true_joints if frames.true_joints is not None else np.full((len(JOINTS), 3), np.nan)
-            rows.append((pose, truth, milliseconds))
-            if pictures is not None:
-                pictures.add(frames, dataclasses.replace(result, pose=pose))
+            with finishing():
+                frames, result, milliseconds = waiting.popleft()
+                csv.write(pose)
+                truth = frames.true_joints if frames.true_joints is not None else np.full((len(JOINTS), 3), np.nan)
+                rows.append((pose, truth, milliseconds))
+                if pictures is not None:
+                    pictures.add(frames, dataclasses.replace(result, pose=pose))
 
         try:
             before = time.perf_counter()
@@ -198,6 +204,8 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
                 before = time.perf_counter()
         except KeyboardInterrupt:
             interrupted = True
+        last.enter_context(finishing())
+        if interrupted:
             console.print(f"stopped after {len(rows)} of {len(source)} frames; writing what was done")
         everybody.finish(pipeline.finish_people())
         for pose in pipeline.finish():
@@ -210,6 +218,8 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
     problems = [
         *dict.fromkeys(misplaced), *getattr(source, "problems", []), *getattr(pipeline.segment, "problems", []),
     ]  # fmt: skip
+    if interrupted and not poses:
+        raise KeyboardInterrupt
     if not poses or all(np.isnan(pose.joints).all() for pose in poses):
         hint = " ".join(_few(problems)) or (
             "try --segment none, add a background.png for each camera, or see that the cameras stand where the rig "

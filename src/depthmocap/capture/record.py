@@ -22,6 +22,7 @@ from depthmocap.capture.recorder import McapRecorder
 from depthmocap.capture.recording import UnfitFrameError
 from depthmocap.capture.source import CameraError, DepthSource, NoFrame, place, unsourced
 from depthmocap.console import Terminal
+from depthmocap.ending import finishing
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, load_rig
 
@@ -165,9 +166,10 @@ def _record(sources: list[DepthSource], writer: McapWriter, seconds: float | Non
         except KeyboardInterrupt:
             pass
         finally:
-            stop.set()
-            for thread in threads:
-                thread.join(5 * _LOOK_S)
+            with finishing():
+                stop.set()
+                for thread in threads:
+                    thread.join(5 * _LOOK_S)
             live.update(_table(counts, time.monotonic() - start))
     if fault:
         raise fault[0]

@@ -21,13 +21,14 @@ from depthmocap.capture.recorded import Pace
 from depthmocap.capture.recorder import McapRecorder
 from depthmocap.capture.sync import SyncSettings
 from depthmocap.console import Terminal
+from depthmocap.ending import finishing
 from depthmocap.errors import InputError
 from depthmocap.export.files import PeopleFiles, PoseFiles
-from depthmocap.frames import Pose
 from depthmocap.geometry import Rig, load_rig
 from depthmocap.offline import load_pipeline
 from depthmocap.online.dashboard import draw_dashboard
 from depthmocap.online.live import LiveCapture, Replay, Segment
+from depthmocap.online.status import CameraStatus
 from depthmocap.owning import owns
 from depthmocap.pose.track import Bones, Smoothing
 from depthmocap.settings import check_above_0, check_at_least
@@ -145,10 +146,6 @@ def _follow(
     begun = drawn = time.monotonic()
     interrupted, taken = False, 0
 
-    def write(pose: Pose) -> None:
-        if files is not None:
-            files.write(pose)
-
     with Live(console=console, auto_refresh=False, transient=True) as screen:
         try:
             for live_pose in capture:
@@ -156,8 +153,8 @@ def _follow(
                 assert capture.pipeline is not None
                 # What a filter that waits gives at first is not final.
                 delay = capture.pipeline.smoothing.delay_frames if capture.pipeline.smoothing else 0
-                if taken > delay:
-                    write(live_pose.pose)
+                if files is not None and taken > delay:
+                    files.write(live_pose.pose)
                 if everybody is not None:
                     everybody.write({person.number: person.pose for person in live_pose.result.people}, delay)
                 now = time.monotonic()
@@ -172,12 +169,26 @@ def _follow(
         except KeyboardInterrupt:
             interrupted = True
         statuses = capture.statuses()
+    with finishing():
+        return _finish(capture, files, everybody, statuses, time.monotonic() - begun, interrupted)
+
+
+def _finish(
+    capture: LiveCapture | Replay,
+    files: PoseFiles | None,
+    everybody: PeopleFiles | None,
+    statuses: list[CameraStatus],
+    seconds: float,
+    interrupted: bool,
+) -> dict[str, Any]:
+    """Write what filters held back; returns the summary."""
     for pose in capture.pipeline.finish() if capture.pipeline else []:
-        write(pose)
+        if files is not None:
+            files.write(pose)
     if everybody is not None and capture.pipeline is not None:
         everybody.finish(capture.pipeline.finish_people())
     summary = {
-        "seconds": time.monotonic() - begun,
+        "seconds": seconds,
         "interrupted": interrupted,
         "sets_dropped": capture.dropped,
         "sets_before_ready": capture.before_ready,
