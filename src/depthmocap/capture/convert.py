@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,11 +18,11 @@ from rich.progress import Progress
 from depthmocap.capture.depth_codec import Coding
 from depthmocap.capture.mcap_file import McapFile
 from depthmocap.capture.mcap_messages import COMPRESSED_IMAGE, RAW_IMAGE
-from depthmocap.capture.mcap_recording import McapRecording
 from depthmocap.capture.mcap_writer import McapSink, McapWriter, check_name
 from depthmocap.capture.open import open_recording
 from depthmocap.capture.recording import Recording, RecordingWriter
 from depthmocap.console import Terminal
+from depthmocap.ending import finishing
 from depthmocap.errors import InputError
 
 #: Names that every command takes for files of other makers, so that a folder of such a name could not be read back.
@@ -78,14 +79,15 @@ def convert(settings: ConvertSettings, console: Console | None = None) -> dict[s
     with Progress(console=console) as progress:
         if settings.out.suffix.lower() == ".mcap":
             start_ns = timeline(source)[0][0]
-            with McapWriter(settings.out, source.rig, backgrounds, settings.coding, start_ns=start_ns) as writer:
+            writer = McapWriter(settings.out, source.rig, backgrounds, settings.coding, start_ns=start_ns)
+            with _whole_or_removed(writer):
                 for stamp, name, raw in read(progress):
                     timestamp_ns, clock = source.device_time(name, stamp)
                     writer.write(name, timestamp_ns, raw, stamp, clock)
                 for stamp, joints in truth:
                     writer.write_truth(stamp, joints)
         else:
-            with RecordingWriter(settings.out, source.rig, backgrounds) as writer:
+            with RecordingWriter(settings.out, source.rig, backgrounds, copy_of=settings.source) as writer:
                 for stamp, name, raw in read(progress):
                     writer.write(stamp, {name: raw})
                 for stamp, joints in truth:
@@ -94,6 +96,26 @@ def convert(settings: ConvertSettings, console: Console | None = None) -> dict[s
         console.print(f"• {problem}")
     console.print(f"{frames} frames of {len(source.rig.names)} cameras are in {settings.out}")
     return {"frames": frames, "lost": len(lost), "truth_rows": len(truth)}
+
+
+@contextlib.contextmanager
+def _whole_or_removed(new: McapWriter | McapSink) -> Iterator[None]:
+    """Close a new file; one that did not become whole is removed, as what it was made of is still there.
+
+    Raises:
+        InputError: when it cannot be written.
+    """
+    try:
+        yield
+        with finishing():
+            new.close()
+            new.check()
+    except BaseException as error:
+        new.close()
+        new.path.unlink(missing_ok=True)
+        if isinstance(error, InputError) and new.fault is not None:
+            raise InputError(f"cannot write {new.path}: {new.fault.strerror}") from None
+        raise
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,7 +144,7 @@ def recover(settings: RecoverSettings, console: Console | None = None) -> dict[s
         if not file.messages:
             raise InputError(f"{settings.source} holds no message: it was cut off before the first frame")
         sink = McapSink(settings.out)
-        try:
+        with _whole_or_removed(sink):
             for name, entries in file.metadata.items():
                 sink.metadata(name, entries)
             channels: dict[int, Any] = {}
@@ -145,8 +167,6 @@ def recover(settings: RecoverSettings, console: Console | None = None) -> dict[s
                 sink.flush()
                 is_image = channel.schema_name in (RAW_IMAGE, COMPRESSED_IMAGE)
                 frames += is_image and channel.metadata.get("kind") != "background"
-        finally:
-            sink.close()
         lost_bytes = 0 if file.complete else settings.source.stat().st_size - file.sound_end
     state = "was whole already" if lost_bytes == 0 and file.complete else f"ended with {lost_bytes} bytes of no use"
     console.print(
@@ -189,7 +209,7 @@ def recording_info(recording: Recording) -> dict[str, Any]:
     first, last = timeline(recording)[0][0], timeline(recording)[-1][0]
     return {
         "recording": str(path),
-        "complete": recording.complete if isinstance(recording, McapRecording) else True,
+        "complete": recording.complete,
         "up": recording.up,
         "sets": len(recording),
         "seconds": (last - first) / 1e9,

@@ -143,6 +143,11 @@ class McapSink:
         self._writer.flush()
         self.check()
 
+    @property
+    def fault(self) -> OSError | None:
+        """Why nothing can be written any more."""
+        return self._file.error
+
     def check(self) -> None:
         """Raises InputError once something could not be written."""
         if self._file.error is not None:
@@ -350,6 +355,15 @@ class McapWriter:
         with self._lock:
             self._topics.truth(timestamp_ns, joints)
             self._sink.flush()
+
+    @property
+    def fault(self) -> OSError | None:
+        """Why nothing can be written any more."""
+        return self._sink.fault
+
+    def check(self) -> None:
+        """Raises InputError once something could not be written."""
+        self._sink.check()
 
     def close(self) -> None:
         """Finish the file. It ends with the calibrations once more: without any, no frame is of use."""

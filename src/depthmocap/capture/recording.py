@@ -10,7 +10,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
 import struct
 from collections.abc import Iterator, Mapping
 from decimal import Decimal
@@ -26,10 +28,14 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.capture.health import Fault, HealthCheck
 from depthmocap.capture.source import place
 from depthmocap.capture.stamps import check_clocks, check_unit, fill_gaps, frame_period_ns, group_stamps
+from depthmocap.capture.unfinished import UNFINISHED_FILE, mark_unfinished, remove_unfinished_copy, unfinished
+from depthmocap.ending import finishing
 from depthmocap.errors import InputError
 from depthmocap.export.csv import read_csv
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import DepthCamera, Rig, load_rig, save_rig
+from depthmocap.output import write_file, writing
+from depthmocap.owning import LOCK_FILE, own_folder
 
 BACKGROUND_FILE = "background.png"
 TRUTH_FILE = "truth.csv"
@@ -120,7 +126,10 @@ class Recording:
     Attributes:
         rig: the cameras. ``up``: the world's up axis.
         period_ns: the frame period.
+        complete: whether who wrote it finished it.
     """
+
+    complete: bool = True
 
     def __init__(self, path: Path, rig: Rig | None = None) -> None:
         """Open a recording, check its first frames and read its background frames.
@@ -159,13 +168,20 @@ class Recording:
         path = self.path
         if not path.is_dir():
             raise InputError(f"{path} is not a folder: {_LAYOUT}")
+        if left := unfinished(path):
+            self.complete = False
+            self._note(left)
         if not (path / "rig.json").is_file():
+            if left:
+                raise InputError(left)
             if (path / "groundtruth.mat").is_file():
                 raise InputError(f"{path} is a section of UBC3V, not a recording: pass it as a UBC3V section")
             raise InputError(f"{path} has no rig.json: {_LAYOUT}")
         rig = load_rig(path / "rig.json")
         self._files = {name: _list_frames(path / name) for name in rig.names}
         if not any(self._files.values()):
+            if left:
+                raise InputError(left)
             raise InputError(f"{path} has no frames of its cameras ({', '.join(rig.names)}): {_LAYOUT}")
         for folder in sorted(path.iterdir()):
             if folder.is_dir() and folder.name not in rig.names and next(folder.glob("*.png"), None):
@@ -333,7 +349,8 @@ class Recording:
 class RecordingWriter:
     """Writes a recording folder frame by frame; a context manager.
 
-    ``rig.json`` and the background frames are written first, so that a recording cut short is still readable.
+    ``rig.json`` and the background frames are written first and every file appears whole, so that a recording cut short
+    is still readable. Until it is closed without an error it holds ``unfinished.json``, of which readers tell.
     """
 
     def __init__(
@@ -342,24 +359,41 @@ class RecordingWriter:
         rig: Rig,
         backgrounds: Mapping[str, UInt16[ndarray, "_ _"]] | None = None,
         compression: int = 1,
+        copy_of: Path | None = None,
     ) -> None:
-        """Start a new folder. ``compression`` is PNG's, 0 (none) to 9; 1 is fast enough to record live.
+        """Start a new folder.
+
+        Args:
+            compression: PNG's, 0 (none) to 9; 1 is fast enough to record live.
+            copy_of: the recording that this is a copy of: an unfinished copy of it in the folder is begun anew.
 
         Raises:
-            InputError: when the folder already holds something, or a background frame does not fit the rig.
+            InputError: when the folder already holds something, is being written or cannot be, or a background frame
+                does not fit the rig.
         """
-        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        if path.exists() and not path.is_dir():
             raise InputError(f"{path} exists already: choose a new folder for the recording")
         self.path, self.rig, self.compression = path, rig, compression
-        self._truth_file = None
-        path.mkdir(parents=True, exist_ok=True)
+        self._truth_file: io.FileIO | None = None
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(own_folder(path))
+            if any(each.name != LOCK_FILE for each in path.iterdir()) and not (
+                copy_of is not None and remove_unfinished_copy(path, copy_of)
+            ):
+                raise InputError(f"{path} exists already: choose a new folder for the recording")
+            mark_unfinished(path, copy_of)
+            with writing(path):
+                self._begin(path, rig, backgrounds or {})
+            self._held = stack.pop_all()
+
+    def _begin(self, path: Path, rig: Rig, backgrounds: Mapping[str, UInt16[ndarray, "_ _"]]) -> None:
         for name in rig.names:
             try:
                 (path / name).mkdir()
             except FileExistsError:  # as another camera's, where case makes no difference
                 raise InputError(f"{path}: camera {name!r} would share a folder with another: rename it") from None
         save_rig(rig, path / "rig.json")
-        for name, raw in (backgrounds or {}).items():
+        for name, raw in backgrounds.items():
             self._write_png(name, BACKGROUND_FILE, raw)
 
     def write(
@@ -371,7 +405,8 @@ class RecordingWriter:
         """Add the raw depth frames of one instant, by camera name, and the true joints (metres, the rig's world).
 
         Raises:
-            InputError: when a frame is of no camera of the rig, or not of its size, or not 16 bit.
+            InputError: when a frame is of no camera of the rig, or not of its size, or not 16 bit, or it cannot be
+                written.
         """
         if timestamp_ns < 0:
             raise InputError(f"timestamp_ns must not be negative, got {timestamp_ns}")
@@ -379,16 +414,33 @@ class RecordingWriter:
             self._write_png(name, f"{timestamp_ns}.png", raw)
         if true_joints is not None:
             if self._truth_file is None:
-                self._truth_file = (self.path / TRUTH_FILE).open("w", encoding="utf-8", newline="\n")
-                self._truth_file.write(",".join(("time_s", *TRUTH_COLUMNS)) + "\n")
+                with writing(self.path / TRUTH_FILE):
+                    self._truth_file = io.FileIO(self.path / TRUTH_FILE, "xb")
+                self._add_truth(",".join(("time_s", *TRUTH_COLUMNS)))
             seconds, rest = divmod(timestamp_ns, 10**9)
             cells = map(repr, true_joints.astype(float).ravel().tolist())  # repr: reads back exactly
-            self._truth_file.write(f"{seconds}.{rest:09d}," + ",".join(cells) + "\n")
+            self._add_truth(f"{seconds}.{rest:09d}," + ",".join(cells))
 
-    def close(self) -> None:
-        """Finish the files."""
-        if self._truth_file is not None:
-            self._truth_file.close()
+    def _add_truth(self, line: str) -> None:
+        """Hand a whole line to the system, or nothing of it: on a full disk what found room is taken back."""
+        file, rest = self._truth_file, memoryview(f"{line}\n".encode())
+        assert file is not None
+        before = file.tell()
+        with writing(self.path / TRUTH_FILE):
+            try:
+                while rest:
+                    rest = rest[file.write(rest) :]
+            except BaseException:
+                file.truncate(before)
+                raise
+
+    def close(self, finished: bool = True) -> None:
+        """Close the files; a recording that is ``finished`` loses its mark. A second call does nothing."""
+        with self._held:
+            if self._truth_file is not None:
+                self._truth_file.close()
+            if finished:
+                (self.path / UNFINISHED_FILE).unlink(missing_ok=True)
 
     def __enter__(self) -> RecordingWriter:
         return self
@@ -396,10 +448,11 @@ class RecordingWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        with finishing():
+            self.close(finished=kind is None)
 
     def _write_png(self, name: str, file: str, raw: UInt16[ndarray, "h w"]) -> None:
         check_frame(self.path, self.rig, name, raw)
         # Encoded in memory because OpenCV cannot open a path with non-ASCII letters on Windows.
         _, data = cv2.imencode(".png", raw, [cv2.IMWRITE_PNG_COMPRESSION, self.compression])
-        (self.path / name / file).write_bytes(data.tobytes())
+        write_file(self.path / name / file, data.data)
