@@ -304,5 +304,5 @@ def test_foreign_files_are_named(tmp_path: Path, content: bytes, message: str) -
     (tmp_path / "x.mcap").write_bytes(content)
     with pytest.raises(InputError, match=message):
         McapRecording(tmp_path / "x.mcap")
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="not found"):
         McapRecording(tmp_path / "missing.mcap")

@@ -149,13 +149,12 @@ def recover(settings: RecoverSettings, console: Console | None = None) -> dict[s
                 sink.metadata(name, entries)
             channels: dict[int, Any] = {}
             for channel in file.channels.values():
-                schema = sink.sdk.Schema(
-                    name=channel.schema_name, encoding=channel.schema_encoding, data=channel.schema
-                )
-                channels[channel.id] = sink.sdk.Channel(
-                    channel.topic, schema=schema if channel.schema_name else None, message_encoding=channel.encoding,
-                    metadata=channel.metadata, context=sink.context,
-                )  # fmt: skip
+                schema = None
+                if channel.schema_name or channel.schema_encoding or channel.schema:
+                    schema = sink.sdk.Schema(
+                        name=channel.schema_name, encoding=channel.schema_encoding, data=channel.schema
+                    )
+                channels[channel.id] = sink.channel(channel.topic, channel.encoding, channel.metadata, schema)
             for message in file.messages:
                 channel = file.channels[message.channel]
                 try:
@@ -163,10 +162,12 @@ def recover(settings: RecoverSettings, console: Console | None = None) -> dict[s
                 except InputError:
                     damaged += 1
                     continue
-                channels[message.channel].log(payload, log_time=message.log_time_ns)
+                channels[message.channel].log(payload, message.log_time_ns, None)
                 sink.flush()
                 is_image = channel.schema_name in (RAW_IMAGE, COMPRESSED_IMAGE)
                 frames += is_image and channel.metadata.get("kind") != "background"
+        for problem in file.problems:
+            console.print(f"• {problem}", markup=False, highlight=False)
         lost_bytes = 0 if file.complete else settings.source.stat().st_size - file.sound_end
     state = "was whole already" if lost_bytes == 0 and file.complete else f"ended with {lost_bytes} bytes of no use"
     console.print(

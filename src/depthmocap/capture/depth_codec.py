@@ -19,13 +19,12 @@ from jaxtyping import UInt16
 from numpy import ndarray
 
 from depthmocap.errors import InputError, missing_extra
+from depthmocap.reading.pictures import check_picture_size, decode_png, png_header
 
 Coding = Literal["delta-zstd", "png", "raw"]
 CODINGS: tuple[Coding, ...] = get_args(Coding)
 
 _SIZE = struct.Struct("<II")
-#: Larger pictures are taken for damage, before memory is asked for them.
-_LARGEST = 1 << 26
 _ZSTD_LEVEL = 1
 _PNG_OPTIONS = [
     cv2.IMWRITE_PNG_COMPRESSION, 1,
@@ -78,22 +77,27 @@ def decode_depth(data: bytes, coding: str, size: tuple[int, int] | None = None) 
             raise InputError(f"a raw picture of {size[0]}×{size[1]} has {2 * size[0] * size[1]} bytes, not {len(data)}")
         return np.frombuffer(data, "<u2").astype(np.uint16).reshape(size[1], size[0])
     if coding == "png":
-        picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-        if picture is None or picture.dtype != np.uint16 or picture.ndim != 2:
-            raise InputError("the picture is not a complete 16-bit grey PNG")
+        header = png_header(data, "the picture")
+        _check_size((header.width, header.height), size)
+        picture = decode_png(data, "the picture")
+        if picture.dtype != np.uint16 or picture.ndim != 2:
+            raise InputError(f"the picture is {header.bits}-bit {header.kind}: depth must be 16-bit grey")
     elif coding == "delta-zstd":
-        picture = _decode_delta(data)
+        picture = _decode_delta(data, size)
     else:
         raise InputError(f"the coding {coding!r} is not known: expected one of {', '.join(CODINGS)}")
-    if size is not None and picture.shape != (size[1], size[0]):
-        raise InputError(f"the picture is {picture.shape[1]}×{picture.shape[0]}, but its camera {size[0]}×{size[1]}")
     return picture
 
 
-def _decode_delta(data: bytes) -> UInt16[ndarray, "h w"]:
+def _check_size(found: tuple[int, int], wanted: tuple[int, int] | None) -> None:
+    if wanted is not None and found != wanted:
+        raise InputError(f"the picture is {found[0]}×{found[1]}, but its camera {wanted[0]}×{wanted[1]}")
+
+
+def _decode_delta(data: bytes, size: tuple[int, int] | None) -> UInt16[ndarray, "h w"]:
     width, height = _SIZE.unpack_from(data) if len(data) > _SIZE.size else (0, 0)
-    if not 0 < width * height <= _LARGEST:
-        raise InputError("the picture is damaged: it has no sensible size")
+    check_picture_size(width, height, "the picture is damaged: it")
+    _check_size((width, height), size)
     zstandard = _zstandard()
     decompressor = getattr(_local, "decompressor", None)
     if decompressor is None:

@@ -6,7 +6,6 @@ those inside an unfinished chunk included. Chunks without compression are read w
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import mmap
 import struct
@@ -15,7 +14,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from depthmocap.errors import InputError, missing_extra
+from depthmocap.reading.files import open_file
 
+#: Bytes that a chunk may unpack to.
+LARGEST_CHUNK = 1 << 28
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQI")
@@ -59,6 +61,7 @@ class McapFile:
         channels: by id.
         metadata: of the metadata records, by name.
         messages: in the order of the file.
+        problems: what cannot be read besides messages, one line each.
         complete: whether the file was finished; otherwise it was cut off, or is being written.
         sound_end: the byte after the last whole record.
     """
@@ -66,13 +69,13 @@ class McapFile:
     def __init__(self, path: Path) -> None:
         """Raises InputError when it cannot be read, or is not MCAP."""
         self.path = path
-        try:
-            with path.open("rb") as file:
+        with open_file(path) as file:
+            try:
                 start = file.read(len(MAGIC))
                 if start == MAGIC:
                     self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        except OSError as error:
-            raise InputError(f"{path} cannot be read ({error.strerror})") from None
+            except OSError as error:
+                raise InputError(f"{path} cannot be read: {error.strerror}") from None
         if start != MAGIC:
             if start and MAGIC.startswith(start):
                 raise InputError(f"{path} was cut off within its first bytes: nothing is in it")
@@ -82,6 +85,7 @@ class McapFile:
         self.channels: dict[int, Channel] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.messages: list[Message] = []
+        self.problems: list[str] = []
         self.complete = False
         self.sound_end = len(MAGIC)
         self._schemas: dict[int, tuple[str, str, bytes]] = {}
@@ -139,15 +143,19 @@ class McapFile:
             return self._unpacked[1]
         compression, start, end, size, crc = self._chunk(at)
         packed, damaged = self._map[start:end], f"{self.path}: the chunk at byte {start} is damaged"
+        if size > LARGEST_CHUNK:
+            raise _DamageError(f"{damaged}: it says that it unpacks to {size:,} bytes")
         try:
+            # No more is unpacked than the chunk says, and a byte that tells that there would be more.
             if compression == "zstd":
                 import zstandard
 
-                records = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
+                with zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK).stream_reader(packed) as stream:
+                    records = stream.read(size + 1)
             elif compression == "lz4":
                 import lz4.frame  # pyright: ignore[reportMissingTypeStubs]
 
-                records = lz4.frame.decompress(packed)
+                records = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
             else:
                 raise InputError(f"{self.path}: chunks compressed by {compression!r} are not known: zstd and lz4 are")
         except ModuleNotFoundError as error:
@@ -156,6 +164,8 @@ class McapFile:
             raise
         except Exception as error:  # each library has its own errors
             raise _DamageError(f"{damaged}: {error}") from None
+        if len(records) != size:
+            raise _DamageError(f"{damaged}: it does not unpack to the {size:,} bytes that it says")
         if crc and zlib.crc32(records) != crc:
             raise _DamageError(f"{damaged} (checksum)")
         self._unpacked = (at, records)
@@ -171,8 +181,12 @@ class McapFile:
                 return
             if opcode == _CHUNK:
                 # One of which too little was written, or that cannot be unpacked, costs only its own messages.
-                with contextlib.suppress(struct.error, _DamageError):
+                try:
                     self._scan_chunk(start, min(end, size))
+                except _DamageError as error:
+                    self.problems.append(str(error))
+                except struct.error:
+                    pass
                 if end > size:
                     return
             elif end > size:
@@ -198,7 +212,7 @@ class McapFile:
         while offset + _HEAD.size <= stop:
             opcode, length = _HEAD.unpack_from(records, offset)
             begin, until = offset + _HEAD.size, offset + _HEAD.size + length
-            if until > stop:
+            if until > stop or opcode not in _KNOWN:
                 return
             if opcode == _MESSAGE:
                 self._message(records, begin, until, at, base)
@@ -227,8 +241,8 @@ class McapFile:
             elif opcode == _METADATA:
                 name = fields.text()
                 self.metadata[name] = fields.texts()
-        except (struct.error, UnicodeDecodeError):
-            raise InputError(f"{self.path} is damaged: one of its definitions cannot be read") from None
+        except struct.error:
+            self.problems.append(f"{self.path} is damaged: one of its definitions cannot be read")
 
 
 class _Fields:
@@ -250,7 +264,7 @@ class _Fields:
         return self._content[self._at - length : self._at]
 
     def text(self) -> str:
-        return self.blob().decode()
+        return self.blob().decode("utf-8", "replace")
 
     def texts(self) -> dict[str, str]:
         fields, found = _Fields(self.blob()), {}

@@ -7,8 +7,8 @@ from the FrameTransforms. Files without our metadata are taken to be in millimet
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt16
@@ -34,9 +34,13 @@ from depthmocap.capture.mcap_messages import (
 from depthmocap.capture.mcap_writer import METADATA, SHARED_CLOCK, TRUTH_TOPIC, VERSION
 from depthmocap.capture.recording import Recording
 from depthmocap.errors import InputError
-from depthmocap.geometry import DepthCamera, Rig, is_rigid
+from depthmocap.geometry import DepthCamera, Rig
+from depthmocap.geometry.cameras import check_camera, check_up
 from depthmocap.names import safe_names
+from depthmocap.reading.json_text import array, number_of_text, parse_json, whole_number
 
+#: By how much the length of a quaternion may differ from 1.
+_QUATERNION_OFF = 0.01
 #: Enough of an image's message to hold its time.
 _HEAD_BYTES = 32
 
@@ -64,6 +68,8 @@ class McapRecording(Recording):
     def _load(self) -> tuple[Rig, dict[str, list[int]]]:
         self._file = McapFile(self.path)
         self.complete = self._file.complete
+        for problem in self._file.problems:
+            self._note(problem)
         if not self.complete:
             self._note(f"{self.path} was cut off; what is in it is read (depthmocap recover makes a whole file of it)")
         own = self._file.metadata.get(METADATA, {})
@@ -111,9 +117,10 @@ class McapRecording(Recording):
             for frame, name in names.items()
         )
         if not any(images.messages for images in self._images.values()):
-            raise InputError(f"{self.path} has no depth frame of its cameras ({', '.join(names.values())})")
+            why = next((f"; {problem.removeprefix(f'{self.path}: ')}" for problem in self._problems), "")
+            raise InputError(f"{self.path} has no depth frame of its cameras ({', '.join(names.values())}){why}")
         stamps = {name: list(self._images[name].messages) if name in self._images else [] for name in names.values()}
-        return Rig(cameras, own.get("up", "z")), stamps
+        return Rig(cameras, check_up(own.get("up", "z"), str(self.path))), stamps
 
     def _check_first(self, name: str, stamps: list[int]) -> None:
         """A file is made by one writer: where the first frame alone is damaged, it is a lost one."""
@@ -181,7 +188,11 @@ class McapRecording(Recording):
         clocks = {channel.metadata.get("clock", SHARED_CLOCK) for channel, _ in depth}
         found: dict[str, _Images] = {}
         for channel, messages in depth:
-            image = self._first(channel, messages)
+            try:
+                image = self._first(channel, messages)
+            except InputError as error:
+                self._note(f"{self.path}: {channel.topic} is not read: {error}")
+                continue
             if channel.schema_name == RAW_IMAGE and image.format not in ("16UC1", "mono16"):
                 continue
             if channel.schema_name == COMPRESSED_IMAGE and not channel.metadata.get("kind") and image.format != "png":
@@ -190,7 +201,7 @@ class McapRecording(Recording):
                 reason = "has no calibration" if image.frame_id not in calibrations else "has another depth topic"
                 self._note(f"{self.path}: {channel.topic} is not read: its frame {image.frame_id!r} {reason}")
                 continue
-            times = [image_time_ns(self._file.head(message, _HEAD_BYTES)) for message in messages]
+            messages, times = self._timed(image.frame_id, messages)
             stamps = times if len(clocks) == 1 else [message.log_time_ns for message in messages]
             order = sorted(range(len(stamps)), key=stamps.__getitem__)
             by_stamp: dict[int, Message] = {}
@@ -204,6 +215,19 @@ class McapRecording(Recording):
             found[image.frame_id] = _Images(channel, by_stamp, times_ns, clock)
         return found
 
+    def _timed(self, name: str, messages: list[Message]) -> tuple[list[Message], list[int]]:
+        """The images whose times can be told, and these (ns)."""
+        times = []
+        for message in messages:
+            try:
+                times.append(image_time_ns(self._file.head(message, _HEAD_BYTES)))
+            except InputError:
+                times.append(-1)
+        timed = [i for i, time in enumerate(times) if max(time, messages[i].log_time_ns) < 2**63 and time >= 0]
+        if lost := len(messages) - len(timed):
+            self._note(f"{self.path}: {lost} frames of {name!r} have no time that can be, and are left out")
+        return [messages[i] for i in timed], [times[i] for i in timed]
+
     def _camera(
         self, name: str, calibration: Calibration, pose: Float[ndarray, "4 4"], images: _Images | None
     ) -> DepthCamera:
@@ -212,15 +236,16 @@ class McapRecording(Recording):
                 f"{self.path}: camera {name!r} has the lens model {calibration.model!r} with "
                 f"{calibration.distortion.size} numbers: expected plumb_bob with 5"
             )
-        matrix = calibration.matrix
-        unit_m = float(images.channel.metadata.get("depth_unit_m", 0.001)) if images else 0.001
-        if min(calibration.width, calibration.height, matrix[0, 0], matrix[1, 1], unit_m) <= 0:
-            raise InputError(f"{self.path}: the calibration of camera {name!r} has sizes that are not positive")
+        where, matrix = f"{self.path}: camera {name!r}", calibration.matrix
+        told = images.channel.metadata.get("depth_unit_m", "0.001") if images else "0.001"
         k1, k2, p1, p2, k3 = calibration.distortion.tolist() or [0.0] * 5
-        return DepthCamera(
+        camera = DepthCamera(
             name, calibration.width, calibration.height, float(matrix[0, 0]), float(matrix[1, 1]),
-            float(matrix[0, 2]), float(matrix[1, 2]), pose, (k1, k2, p1, p2, k3), unit_m,
+            float(matrix[0, 2]), float(matrix[1, 2]), pose, (k1, k2, p1, p2, k3),
+            number_of_text(told, f"{where}: depth_unit_m"),
         )  # fmt: skip
+        check_camera(camera, where)
+        return camera
 
     def _pose(self, name: str, transforms: dict[str, tuple[Transform, Channel]]) -> Float[ndarray, "4 4"]:
         """``world_from_camera``: exact where our metadata have it, otherwise along the transforms up to the root."""
@@ -228,36 +253,40 @@ class McapRecording(Recording):
         while frame in transforms and frame not in seen:
             seen.add(frame)
             transform, channel = transforms[frame]
-            step = np.eye(4)
+            step, where = np.eye(4), f"{self.path}: the transform of {frame!r}"
             if exact := channel.metadata.get("world_from_camera"):
-                step = np.array(json.loads(exact), np.float64)
-            elif np.any(transform.rotation):
-                step[:3, :3] = Rotation.from_quat(transform.rotation).as_matrix()
+                step = array(parse_json(exact, f"{where}: world_from_camera"), (4, 4), f"{where}: world_from_camera")
+            else:
+                if np.any(transform.rotation):  # none is told where all is 0
+                    if not abs(np.linalg.norm(transform.rotation) - 1) < _QUATERNION_OFF:
+                        numbers = ", ".join(f"{each:g}" for each in transform.rotation)
+                        raise InputError(f"{where} has the quaternion ({numbers}): its length must be 1")
+                    step[:3, :3] = Rotation.from_quat(transform.rotation).as_matrix()
                 step[:3, 3] = transform.translation
             pose, frame = step if pose is None else step @ pose, transform.parent
-        pose = np.eye(4) if pose is None else pose
-        if pose.shape != (4, 4) or not is_rigid(pose):
-            raise InputError(f"{self.path}: the transform of camera {name!r} is not a rotation and a translation")
-        return pose
+        return np.eye(4) if pose is None else pose
 
     def _load_truth(self) -> tuple[Float[ndarray, " rows"], Float[ndarray, "rows 18 3"]] | None:
-        if not self._truth_messages:
+        if not (rows := self.truth_rows()):
             return None
-        rows = self.truth_rows()
         return np.array([stamp / 10**9 for stamp, _ in rows]), np.stack([joints for _, joints in rows])
 
     def truth_rows(self) -> list[tuple[int, Float[ndarray, "18 3"]]]:
-        """Times (ns) and true joints as they were written, in order of time.
-
-        Raises:
-            InputError: when one of them is damaged.
-        """
+        """Times (ns) and true joints as they were written, in order of time; those that are damaged are left out."""
         rows: list[tuple[int, Float[ndarray, "18 3"]]] = []
         for message in self._truth_messages:
+            where = f"{self.path}: the true joints at {message.log_time_ns}"
             try:
-                document = json.loads(self._file.payload(message))
-                joints = np.array([document["joints"][joint] for joint in JOINTS], np.float64)
-                rows.append((int(document["timestamp_ns"]), joints.reshape(len(JOINTS), 3)))
-            except (ValueError, KeyError, TypeError):
-                raise InputError(f"{self.path}: the true joints at {message.log_time_ns} cannot be read") from None
+                rows.append(_true_joints(parse_json(self._file.payload(message), where), where))
+            except InputError as error:
+                self._note(f"{error}: they are left out")
         return sorted(rows, key=lambda row: row[0])
+
+
+def _true_joints(document: Any, where: str) -> tuple[int, Float[ndarray, "18 3"]]:
+    """Time (ns) and joints of a message."""
+    joints = document.get("joints") if isinstance(document, dict) else None
+    if not isinstance(joints, dict) or (absent := [joint for joint in JOINTS if joint not in joints]):
+        raise InputError(f"{where} lack {absent[0] if isinstance(joints, dict) else 'all joints'}")
+    time_ns = whole_number(document.get("timestamp_ns"), f"{where}: timestamp_ns")
+    return time_ns, array([joints[joint] for joint in JOINTS], (len(JOINTS), 3), where, unknown=True)

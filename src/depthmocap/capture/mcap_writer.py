@@ -134,6 +134,10 @@ class McapSink:
         self._writer.write_metadata(name, dict(entries))
         self.check()
 
+    def channel(self, topic: str, encoding: str, metadata: Mapping[str, str], schema: Any | None) -> Any:
+        """A channel of any kind; the SDK's own class takes one without a schema for JSON only, and makes one up."""
+        return self.context._create_channel(topic, message_encoding=encoding, schema=schema, metadata=dict(metadata))
+
     def flush(self) -> None:
         """Hand everything over to the system.
 

@@ -6,7 +6,6 @@ import contextlib
 import ctypes
 import dataclasses
 import importlib
-import math
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -15,6 +14,7 @@ from depthmocap.capture.source import CameraError, FoundCamera
 from depthmocap.capture.usb import UsbDevice, usb_devices
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.geometry import DepthCamera
+from depthmocap.geometry.cameras import check_camera
 
 _TWINS = "another has the same serial number: connect one of them"
 _UNSEEN = "its SDK does not see it: is another program using it?"
@@ -128,14 +128,12 @@ def checked(camera: DepthCamera) -> DepthCamera:
     """The camera, if what its device told of it can be.
 
     Raises:
-        CameraError: when it has no focal length or depth scale.
+        CameraError: when it cannot.
     """
-    numbers = (camera.fx, camera.fy, camera.depth_unit_m, camera.width, camera.height)
-    if not all(math.isfinite(each) and each > 0 for each in numbers) or not all(map(math.isfinite, camera.distortion)):
-        raise CameraError(
-            f"camera {camera.name!r} tells no usable calibration: {camera.width}×{camera.height}, focal lengths "
-            f"{camera.fx:g} and {camera.fy:g}, depth unit {camera.depth_unit_m:g} m"
-        )
+    try:
+        check_camera(camera, f"camera {camera.name!r} tells no usable calibration")
+    except InputError as error:
+        raise CameraError(str(error)) from None
     return camera
 
 

@@ -18,9 +18,19 @@ from depthmocap.errors import InputError
 from depthmocap.geometry.transforms import is_rigid, rigid_inverse, transform_points
 from depthmocap.names import check_camera_name
 from depthmocap.output import write_file
+from depthmocap.reading.json_text import array, number, read_json, whole_number
+from depthmocap.reading.pictures import check_picture_size
 
 #: No two cameras that see one person are this far apart (metres).
 FURTHEST_M = 100.0
+#: No camera is further from the world's origin (metres).
+_OUTERMOST_M = 1e6
+#: Focal lengths, principal points and lengths of a depth unit that are none of any depth camera lie outside.
+_FOCAL_PX, _CENTRE_PX, _UNIT_M = (1.0, 1e6, "pixels"), (-1e6, 1e6, "pixels"), (1e-7, 1.0, "metres")
+#: Share of the picture in which a lens can be undone: a half is that of the widest mode of an Azure Kinect.
+_LEAST_UNDONE = 0.3
+#: Columns and rows at which a lens model is tried.
+_GRID = 64
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -63,12 +73,16 @@ class DepthCamera:
         """
         u, v = np.meshgrid(np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64))
         if any(self.distortion):
-            pixels = np.stack([u, v], -1)
-            rays = cv2.undistortPoints(pixels.reshape(-1, 1, 2), self.matrix, np.array(self.distortion))
-            rays = rays.reshape(self.height, self.width, 2)
-            off = np.abs(self._pixels_of(rays) - pixels).max(-1)
-            return np.where((off < 1.0)[..., None], rays, np.nan).astype(np.float32)
+            rays = self.undistorted(np.stack([u, v], -1).reshape(-1, 2))
+            return rays.reshape(self.height, self.width, 2).astype(np.float32)
         return np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy], -1).astype(np.float32)
+
+    def undistorted(self, pixels: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
+        """x/z and y/z of the rays through places (u, v), lens distortion removed; NaN where the lens model cannot be
+        inverted within a pixel."""
+        rays = self.rays_through(pixels)
+        off = np.abs(self._pixels_of(rays) - pixels).max(-1)
+        return np.where((off < 1.0)[..., None], rays, np.nan)
 
     def rays_through(self, pixels: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
         """x/z and y/z of the rays through any places (u, v) of the picture, lens distortion removed."""
@@ -136,29 +150,11 @@ def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
     required = ("name", "width", "height", "fx", "fy", "cx", "cy")
     if absent := [key for key in required if key not in entry]:
         raise InputError(f"{where} lacks {', '.join(absent)}")
-    try:
-        numbers = {key: float(entry[key]) for key in ("fx", "fy", "cx", "cy")}
-        width, height = int(entry["width"]), int(entry["height"])
-        if (width, height) != (entry["width"], entry["height"]):
-            raise ValueError(f"width {entry['width']!r} and height {entry['height']!r} must be whole numbers")
-        unit = float(entry.get("depth_unit_m", 0.001))
-        distortion = [float(k) for k in entry.get("distortion", [0.0] * 5)]
-        pose = np.array(entry.get("world_from_camera", np.eye(4)), dtype=np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{where} has a value that is not a number: {error}") from None
-    if min(width, height) < 1 or min(numbers["fx"], numbers["fy"], unit) <= 0:
-        raise InputError(f"{where}: width, height, fx, fy and depth_unit_m must be positive")
-    if not np.isfinite([*numbers.values(), unit, *distortion]).all():
-        raise InputError(f"{where}: intrinsics must be finite numbers")
-    if len(distortion) != 5:
-        raise InputError(f"{where}: distortion must be [k1, k2, p1, p2, k3], got {len(distortion)} numbers")
-    if pose.shape != (4, 4):
-        raise InputError(f"{where}: world_from_camera must be 4×4, row major, in metres; got shape {pose.shape}")
-    if not is_rigid(pose):
-        raise InputError(
-            f"{where}: world_from_camera is not a rotation and a translation "
-            "(columns of length 1 at right angles, determinant +1, last row 0 0 0 1); calibrate this camera again"
-        )
+    width, height = (whole_number(entry[key], f"{where}: {key}") for key in ("width", "height"))
+    numbers = {key: number(entry[key], f"{where}: {key}") for key in ("fx", "fy", "cx", "cy")}
+    unit = number(entry.get("depth_unit_m", 0.001), f"{where}: depth_unit_m")
+    distortion = array(entry.get("distortion", [0.0] * 5), (5,), f"{where}: distortion [k1, k2, p1, p2, k3]").tolist()
+    pose = array(entry.get("world_from_camera", np.eye(4).tolist()), (4, 4), f"{where}: world_from_camera")
     k1, k2, p1, p2, k3 = distortion
     try:
         check_camera_name(str(entry["name"]))
@@ -168,12 +164,46 @@ def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
         str(entry["name"]), width, height, **numbers, world_from_camera=pose,
         distortion=(k1, k2, p1, p2, k3), depth_unit_m=unit,
     )  # fmt: skip
-    if any(distortion) and (undone := np.isfinite(camera.rays[..., 0]).mean()) < 0.5:
+    check_camera(camera, where)
+    return camera
+
+
+def check_camera(camera: DepthCamera, where: str) -> None:
+    """See that what a file or a device tells of a camera can be.
+
+    Args:
+        where: it is told, for the message.
+
+    Raises:
+        InputError: when the picture is none or too large, a number is not finite or can be none of a depth camera, the
+            lens can be undone in little of the picture, or the pose is not rigid.
+    """
+    check_picture_size(camera.width, camera.height, f"{where}: the picture")
+    bounds = {"fx": _FOCAL_PX, "fy": _FOCAL_PX, "cx": _CENTRE_PX, "cy": _CENTRE_PX, "depth_unit_m": _UNIT_M}
+    for key, (least, most, unit) in bounds.items():
+        if not least <= getattr(camera, key) <= most:
+            raise InputError(f"{where}: {key} must be {least:g} to {most:g} {unit}, got {getattr(camera, key):g}")
+    if not np.isfinite(camera.distortion).all():
+        raise InputError(f"{where}: distortion must be finite numbers, got {list(camera.distortion)}")
+    if not is_rigid(camera.world_from_camera):
         raise InputError(
-            f"{where}: distortion {distortion} can be undone in {100 * undone:.0f} % of the picture only; "
+            f"{where}: world_from_camera is not a rotation and a translation "
+            "(columns of length 1 at right angles, determinant +1, last row 0 0 0 1); calibrate this camera again"
+        )
+    if (away_m := float(np.abs(camera.world_from_camera[:3, 3]).max())) > _OUTERMOST_M:
+        raise InputError(f"{where}: the place in world_from_camera is {away_m:g} m away; it must be in metres")
+    if any(camera.distortion) and (undone := _undone_share(camera)) < _LEAST_UNDONE:
+        raise InputError(
+            f"{where}: distortion {list(camera.distortion)} can be undone in {100 * undone:.0f} % of the picture only; "
             "give OpenCV's [k1, k2, p1, p2, k3], for x/z and y/z"
         )
-    return camera
+
+
+def _undone_share(camera: DepthCamera) -> float:
+    """In how much of the picture the lens model can be inverted, by a grid of its pixels."""
+    u, v = np.meshgrid(np.linspace(0, camera.width - 1, _GRID), np.linspace(0, camera.height - 1, _GRID))
+    with np.errstate(all="ignore"):
+        return float(np.isfinite(camera.undistorted(np.stack([u, v], -1).reshape(-1, 2))[:, 0]).mean())
 
 
 def check_placed(cameras: Iterable[DepthCamera]) -> None:
@@ -199,14 +229,7 @@ def load_rig(path: Path) -> Rig:
     Raises:
         InputError: when the file is missing or malformed, a pose is not rigid, or two cameras share a name.
     """
-    try:
-        document = json.loads(path.read_text())
-    except FileNotFoundError:
-        raise InputError(f"{path} not found: a recording needs a rig.json that describes its cameras") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path} is not valid JSON: {error}") from None
+    document = read_json(path, "a recording needs a rig.json that describes its cameras")
     entries = document.get("cameras") if isinstance(document, dict) else None
     if not isinstance(entries, list) or not entries:
         raise InputError(f'{path} must hold {{"cameras": [...]}} with at least one camera')
@@ -219,10 +242,18 @@ def load_rig(path: Path) -> Rig:
         raise InputError(
             f"{path}: two cameras are {apart_m:,.0f} m apart; the places in world_from_camera must be in metres"
         )
-    up = document.get("up", "z")
+    return Rig(cameras, check_up(document.get("up", "z"), str(path)))
+
+
+def check_up(up: Any, where: str) -> str:
+    """The axis of a world that points up, if it can be.
+
+    Raises:
+        InputError: when it is another.
+    """
     if up not in ("z", "y", "-y"):
-        raise InputError(f'{path}: up must be "z", "y" or "-y", not {up!r}')
-    return Rig(cameras, up)
+        raise InputError(f'{where}: up must be "z", "y" or "-y", not {up!r}')
+    return up
 
 
 def save_rig(rig: Rig, path: Path) -> None:

@@ -31,6 +31,7 @@ def is_rigid(matrix: Float[ndarray, "4 4"], tolerance: float = 1e-3) -> bool:
     rotation = matrix[:3, :3]
     return bool(
         np.isfinite(matrix).all()
+        and np.abs(rotation).max() < 2  # so that no product overflows
         and np.abs(rotation @ rotation.T - np.eye(3)).max() < tolerance
         and np.linalg.det(rotation) > 0
         and np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-9)

@@ -95,7 +95,7 @@ def read_text(path: Path, most: int = LARGEST_TEXT, missing: str = "") -> str:
 def _check_regular(path: Path, found: os.stat_result) -> None:
     if not stat.S_ISREG(found.st_mode):
         kind = next((words for test, words in _KINDS if test(found.st_mode)), "no regular file")
-        raise InputError(f"{path} is {kind}, where a file is needed")
+        raise InputError(f"{path} cannot be read: it is {kind}, not a file")
 
 
 def _unreadable(path: Path, error: OSError) -> InputError:
