@@ -7,8 +7,8 @@ from the FrameTransforms. Files without our metadata are taken to be in millimet
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float, UInt16
@@ -38,6 +38,8 @@ from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.geometry.cameras import check_camera, check_up
 from depthmocap.names import safe_names
 from depthmocap.reading.json_text import array, number_of_text, parse_json, whole_number
+
+_Read = TypeVar("_Read")
 
 #: By how much the length of a quaternion may differ from 1.
 _QUATERNION_OFF = 0.01
@@ -86,19 +88,18 @@ class McapRecording(Recording):
             if not messages:
                 continue
             if channel.schema_name == CALIBRATION:
-                for payload in self._payloads(messages):  # the last that can be read counts
-                    calibration = read_calibration(payload)
+                for calibration in self._all(messages, read_calibration):  # the last that can be read counts
                     calibrations[calibration.frame_id] = calibration
             elif channel.schema_name == TRANSFORM:
-                for payload in self._payloads(messages):  # one channel may hold many cameras' transforms
-                    transform = read_transform(payload)
+                for transform in self._all(messages, read_transform):  # one channel may hold many cameras' transforms
                     transforms[transform.child] = (transform, channel)
             elif channel.schema_name in (RAW_IMAGE, COMPRESSED_IMAGE):
                 (backgrounds if channel.metadata.get("kind") == "background" else depth).append((channel, messages))
             elif channel.topic == TRUTH_TOPIC and channel.encoding == "json":
                 self._truth_messages = messages
         if not calibrations:
-            raise InputError(f"{self.path} has no {CALIBRATION}: without it depth is no use; record with depthmocap")
+            needed = f"{CALIBRATION}: without it depth is no use; record with depthmocap"
+            raise InputError(f"{self.path} has no {needed}{self._why()}")
         names = safe_names(calibrations)  # others' frames are called as they like, such as /left/depth
         for frame, name in names.items():
             if name != frame:
@@ -117,8 +118,8 @@ class McapRecording(Recording):
             for frame, name in names.items()
         )
         if not any(images.messages for images in self._images.values()):
-            why = next((f"; {problem.removeprefix(f'{self.path}: ')}" for problem in self._problems), "")
-            raise InputError(f"{self.path} has no depth frame of its cameras ({', '.join(names.values())}){why}")
+            called = ", ".join(names.values())
+            raise InputError(f"{self.path} has no depth frame of its cameras ({called}){self._why()}")
         stamps = {name: list(self._images[name].messages) if name in self._images else [] for name in names.values()}
         return Rig(cameras, check_up(own.get("up", "z"), str(self.path))), stamps
 
@@ -135,13 +136,20 @@ class McapRecording(Recording):
             return
         raise errors[0]
 
-    def _payloads(self, messages: list[Message]) -> Iterator[bytes]:
-        """Of those messages that are not damaged."""
+    def _all(self, messages: list[Message], read: Callable[[bytes], _Read]) -> Iterator[_Read]:
+        """What is in those messages that are not damaged."""
         for message in messages:
             try:
-                yield self._file.payload(message)
+                found = read(self._file.payload(message))
             except InputError as error:
-                self._note(str(error))
+                where = f"{self.path}: "
+                self._note(f"{where}{str(error).removeprefix(where)}")
+                continue
+            yield found
+
+    def _why(self) -> str:
+        """The first thing that was wrong so far, for a message."""
+        return next((f"; {problem.removeprefix(f'{self.path}: ')}" for problem in self._problems), "")
 
     def close(self) -> None:
         """Close the file; frames cannot be read any more."""
