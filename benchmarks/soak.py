@@ -129,7 +129,7 @@ class RollingRecorder:
     def _begin(self) -> None:
         self._made += 1
         writer = McapWriter(self._folder / f"{self._made}.mcap", self._rig)
-        self._files.append((writer, McapRecorder(writer, self._cameras)))
+        self._files.append((writer, McapRecorder(writer, self._cameras.get)))
         if len(self._files) > 2:
             self._finish()
 

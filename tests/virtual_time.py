@@ -13,10 +13,12 @@ from typing import Any
 
 import pytest
 
-from depthmocap.capture import hang, recorded, simulator, source, synthetic
+from depthmocap.capture import hang, reading, record, recorded, simulator, source, synthetic
 from depthmocap.online import command, gather, live
 
-MODULES: tuple[ModuleType, ...] = (hang, recorded, simulator, source, synthetic, command, gather, live)
+MODULES: tuple[ModuleType, ...] = (
+    hang, reading, record, recorded, simulator, source, synthetic, command, gather, live,
+)  # fmt: skip
 
 
 class _OverError(BaseException):

@@ -131,7 +131,7 @@ def test_bones_are_steady_or_free(recording, tmp_path, monkeypatch, virtual, rea
 def test_it_ends_in_time_even_if_no_camera_delivers(recording, monkeypatch, virtual, realtime):
     faults = {"cam0": Faults(unplugged=((1.0, 900.0),))}
 
-    def sources(specs, pace):
+    def sources(specs, pace, tell):
         return [SimulatedCamera(Simulation(Board(1), 20.0, 900.0, faults), "cam0", virtual.monotonic_ns())]
 
     if realtime:
@@ -139,6 +139,35 @@ def test_it_ends_in_time_even_if_no_camera_delivers(recording, monkeypatch, virt
     summary = run_live(LiveSettings((recording,), realtime=realtime, seconds=5.0))
     assert summary["poses"] > 5
     assert summary["seconds"] < 6
+
+
+def test_what_it_takes_to_be_ready_is_told_and_waited_for(recording, monkeypatch, virtual):
+    def load(*arguments, **others):
+        virtual.sleep(6.0)  # nothing is compiled yet
+        return fake_pipeline()
+
+    class Slow(SimulatedCamera):
+        def _open(self):
+            virtual.sleep(4.0)
+            return super()._open()
+
+    use_pipelines(monkeypatch, load)
+    console = Terminal(record=True, width=200)
+    with monkeypatch.context() as patch:
+        simulation = Simulation(Board(2), 10.0, 60.0)
+        made = [Slow(simulation, "cam0", virtual.monotonic_ns()), SimulatedCamera(simulation, "cam1", 5_000_000_000)]
+        patch.setattr(command, "make_sources", lambda *arguments: made)
+        summary = run_live(LiveSettings(("x",), seconds=2.0), console)
+    assert summary["poses"] == pytest.approx(20, abs=3)
+    assert summary["seconds"] == pytest.approx(2.0, abs=0.2)
+    assert summary["sets_before_ready"] > 6.0 * 10 - 3
+    told = console.export_text()
+    assert "• still opening: cam0" in told
+    assert "• making ready for poses" in told
+    for png in (each for name in ("cam0", "cam1") for each in sorted((Path(recording) / name).glob("17*.png"))[1:]):
+        png.unlink()
+    with pytest.raises(InputError, match="no set of frames came once it was ready for poses, and 1 before"):
+        run_live(LiveSettings((recording,), realtime=True))
 
 
 @pytest.mark.parametrize("realtime", [False, True])

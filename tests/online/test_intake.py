@@ -1,12 +1,12 @@
 """Twenty seconds of everything that goes wrong with four cameras, in virtual time, through checks and synchroniser."""
 
-import collections
 import dataclasses
 
 import numpy as np
 import pytest
 from fakes import Board, fake_pipeline
 
+from depthmocap.capture.problems import Problems
 from depthmocap.capture.recording import Recording, RecordingWriter
 from depthmocap.capture.simulator import Faults, Simulation
 from depthmocap.capture.sync import SyncSettings
@@ -66,14 +66,14 @@ def test_broken_pictures_are_left_out_counted_and_told_of(outcome):
     assert set(intake.faults["cam0"]) == {"frozen"}
     assert intake.faults["cam2"]["noise"] == pytest.approx(28, abs=4)
     assert intake.faults["cam3"]["dark"] == pytest.approx(28, abs=4)
-    assert sum("cam3" in line for line in intake.problems) == 1
+    assert sum("cam3" in line for line in intake.problems.told()) == 1
     dark = "camera 'cam3': no pixel has depth: is it covered, or too near to something?"
-    assert intake.problems[dark] == intake.faults["cam3"]["dark"]
+    assert intake.problems.told()[dark] == intake.faults["cam3"]["dark"]
 
 
 def test_clocks_that_jump_are_told(outcome):
     intake, _, _ = outcome
-    jumps = {line: times for line, times in intake.problems.items() if "clock" in line}
+    jumps = {line: times for line, times in intake.problems.told().items() if "clock" in line}
     assert jumps == {
         "camera 'cam1': its clock went back, or its frames were held up for a second": 1,  # it was unplugged
         "camera 'cam2': its clock went back, or its frames were held up for a second": 1,
@@ -97,7 +97,7 @@ def test_a_camera_whose_time_runs_backwards_is_left_out_and_told_of():
     sets = list(intake.run(backwards()))
     assert sum("cam0" in left.frames for left in sets) == 120
     assert not any("cam1" in left.frames for left in sets[20:])
-    assert intake.problems["camera 'cam1': its time runs backwards or stands still: reconnect it"] == 110
+    assert intake.problems.told()["camera 'cam1': its time runs backwards or stands still: reconnect it"] == 110
     statuses = camera_statuses(intake, {"cam0": "running", "cam1": "running"}, sets[-1].timestamp_ns)
     assert [status.state for status in statuses] == ["running", "clock: left out"]
 
@@ -133,10 +133,10 @@ def test_a_recording_gives_its_own_sets(tmp_path):
                 writer.write(time_ns + 3_000_000, {"cam1": scene.depth("cam1", i * 0.04)})
     bad = sorted((tmp_path / "recording" / "cam0").glob("*.png"))[12]
     bad.write_bytes(bad.read_bytes()[:-30])
-    recording, problems = Recording(tmp_path / "recording"), collections.Counter()
+    recording, problems = Recording(tmp_path / "recording"), Problems()
     intake = Intake(SyncSettings(25.0))
     for camera in recording.rig.cameras:
         intake.add_camera(camera)
     sets = list(intake.run(recorded_frames(recording, problems)))
     assert [len(left.frames) for left in sets] == [1 if i in (7, 12) else 2 for i in range(20)]
-    assert [bad.name in line for line in problems] == [True]
+    assert [bad.name in line for line in problems.told()] == [True]

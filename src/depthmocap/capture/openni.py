@@ -89,6 +89,7 @@ class OpenNICamera(DepthSource):
         super().__init__(name)
         self._address, self._wanted = address, wanted or Wanted()
         self._file = Path(address).resolve() if address.lower().endswith(".oni") else None
+        self.reopens = self._file is None
 
     def _open(self) -> DepthCamera:
         sdk = self._sdk = load()

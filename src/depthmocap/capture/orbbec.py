@@ -57,6 +57,7 @@ class OrbbecCamera(DepthSource):
         self._wanted = wanted or Wanted()
         self._file = Path(address) if address.lower().endswith(BAG) else None
         self._serial = "" if self._file else address
+        self.reopens = self._file is None
 
     def _open(self) -> DepthCamera:
         sdk = self._sdk = MAKE.load()

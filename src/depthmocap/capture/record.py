@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import threading
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +17,16 @@ from rich.table import Table
 from depthmocap.capture.cameras import make_sources
 from depthmocap.capture.depth_codec import Coding
 from depthmocap.capture.mcap_writer import McapWriter, check_name
+from depthmocap.capture.problems import Problems
+from depthmocap.capture.reading import ENDED, LOOK_S, OPENING, RUNNING, SILENT, Readers, SourceState
 from depthmocap.capture.recorded import Pace
-from depthmocap.capture.recorder import McapRecorder
+from depthmocap.capture.recorder import McapRecorder, not_recorded
 from depthmocap.capture.recording import UnfitFrameError
-from depthmocap.capture.source import CameraError, DepthSource, NoFrame, place, unsourced
+from depthmocap.capture.source import DepthFrame
 from depthmocap.console import Terminal
 from depthmocap.ending import finishing
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, load_rig
-
-_LOOK_S = 0.2
-_RECORDING, _ENDED = "recording", "at its end"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +38,7 @@ class RecordSettings:
             ("azure:SERIAL?mode=nfov&fps=15", "realsense:SERIAL?size=848x480"), recordings, or synthetic.
         out: the new MCAP file (.mcap).
         rig: a rig.json that tells where the cameras stand; without it they stand at the origin (recordings know).
-        seconds: stop after so long.
+        seconds: stop so long after the cameras were opened.
         coding: of the depth; png and raw are larger, but other viewers show them.
         realtime: play recordings at their own speed.
     """
@@ -59,7 +58,6 @@ class _Count:
     frames: int = 0
     lost: int = 0
     last: int | None = None
-    state: str = _RECORDING
 
     def add(self, number: int | None) -> None:
         """Count a frame, and those that its number says were lost before it."""
@@ -69,135 +67,139 @@ class _Count:
         self.last = number
 
 
+class _Writing:
+    """Takes what the reading threads bring.
+
+    Attributes:
+        recorder: writes the frames; set it before any comes.
+        fault: why the file cannot be written any further; None while it can.
+    """
+
+    def __init__(self, names: list[str]) -> None:
+        self.problems, self.counts = Problems(), {name: _Count() for name in names}
+        self.recorder: McapRecorder | None = None
+        self.fault: InputError | None = None
+
+    def opened(self, camera: DepthCamera) -> None:
+        """The recorder asks for cameras itself."""
+
+    def note(self, problem: str) -> None:
+        self.problems.add(problem)
+
+    def deliver(self, frame: DepthFrame) -> None:
+        if self.fault is not None:
+            return
+        assert self.recorder is not None
+        count = self.counts[frame.camera]
+        try:
+            self.recorder.write(frame)
+        except UnfitFrameError:
+            count.lost += 1
+            self.note(not_recorded(frame))
+        except InputError as error:
+            self.fault = error
+        else:
+            count.add(frame.number)
+
+
 def record(settings: RecordSettings, console: Console | None = None) -> dict[str, Any]:
-    """Record; returns frames and losses by camera. A camera that fails is told, and the others go on.
+    """Record; returns frames, losses and states by camera, and how often there was which problem.
+
+    A camera that fails is told, and opened again until it is there; the others go on.
 
     Raises:
         InputError: when no source can be opened as the rig says, no frame came, or the file cannot be written any
             further (every frame before is in it).
     """
     console = console or Terminal(stderr=True)
+
+    def tell(line: str) -> None:
+        console.print(f"• {line}")
+
     if not settings.sources:
         raise InputError("name at least one camera: depthmocap cameras lists them")
     if settings.seconds is not None and not settings.seconds > 0:
         raise InputError(f"--seconds must be positive, got {settings.seconds}")
     check_name("--out", settings.out)
     rig = load_rig(settings.rig) if settings.rig else None
-    sources = make_sources(settings.sources, Pace(1.0 if settings.realtime else 0.0))
+    sources = make_sources(settings.sources, Pace(1.0 if settings.realtime else 0.0), tell)
+    writing = _Writing([source.name for source in sources])
+    readers = Readers(sources, rig, writing, held=True)
     with contextlib.ExitStack() as stack:
-        cameras, failed = _open(sources, rig, stack)
-        problems = [f"{failure}; going on without it" for failure in failed.values()]
-        problems += [] if rig is None else unsourced(rig, [source.name for source in sources])
-        sources = [source for source in sources if source.name not in failed]
-        problems += [source.problems.popleft() for source in sources for _ in range(len(source.problems))]
-        for problem in problems:
-            console.print(f"• {problem}")
-        backgrounds = {s.name: raw for s in sources if (raw := s.raw_background) is not None}
-        up = rig.up if rig else sources[0].up
-        writer = stack.enter_context(McapWriter(settings.out, Rig(cameras, up), backgrounds, settings.coding))
-        told = _record(sources, writer, settings.seconds, console)
-        return told | {"states": failed | told["states"], "problems": problems}
+        stack.callback(readers.stop)
+        readers.start(tell)
+        cameras = readers.cameras
+        opened = [source for source in sources if source.name in cameras]
+        backgrounds = {source.name: raw for source in opened if (raw := source.raw_background) is not None}
+        seen = Rig(tuple(cameras.values()), rig.up if rig else opened[0].up)
+        writer = stack.enter_context(McapWriter(settings.out, seen, backgrounds, settings.coding))
+        stack.callback(readers.stop)  # before the file is closed, into which they write
+        writing.recorder = McapRecorder(writer, readers.camera)
+        seconds = _follow(readers, writing, settings.seconds, console)
+    states = {name: known.state for name, known in readers.known.items()}
+    problems = writing.problems.told()
+    if writing.fault is not None:
+        raise writing.fault
+    if not any(writer.frames.values()):
+        raise InputError(
+            f"no frame came in {seconds:.1f} s: {_why_none(states, writing.counts)}; {writer.path} holds no frame"
+        )
+    for problem, times in problems.items():
+        if times > 1:
+            tell(f"{problem} ({times} times)")
+    console.print(f"{sum(writer.frames.values())} frames are in {writer.path}")
+    return {
+        "seconds": seconds,
+        "frames": dict(writer.frames),
+        "lost": {name: writing.counts[name].lost for name in writer.frames},
+        "states": states,
+        "problems": problems,
+    }
 
 
-def _open(
-    sources: list[DepthSource], rig: Rig | None, stack: contextlib.ExitStack
-) -> tuple[tuple[DepthCamera, ...], dict[str, str]]:
-    """The cameras that could be opened and fit the rig, and why others were not, by name.
+def _follow(readers: Readers, writing: _Writing, seconds: float | None, console: Console) -> float:
+    """Let the cameras deliver until the end, and show how they do; returns how long that was."""
+    told: set[str] = set()
+    begun_s = time.monotonic()
 
-    Raises:
-        InputError: when there is none.
-    """
-    cameras: list[DepthCamera] = []
-    failed: dict[str, str] = {}
-    for source in sources:
-        try:
-            stack.enter_context(source)
-            cameras.append(source.camera if rig is None else place(source.camera, rig))
-        except InputError as error:
-            failed[source.name] = str(error)
-    if not cameras:
-        raise InputError(f"no camera could be opened ({'; '.join(failed.values())})")
-    return tuple(cameras), failed
+    def show() -> float:
+        passed_s = time.monotonic() - begun_s
+        live.update(_table(readers.known, writing.counts, passed_s))
+        for problem in writing.problems.told():
+            if problem not in told:  # as soon as it is known, above the table
+                told.add(problem)
+                console.print(f"• {problem}")
+        return passed_s
 
-
-def _record(sources: list[DepthSource], writer: McapWriter, seconds: float | None, console: Console) -> dict[str, Any]:
-    counts = {source.name: _Count() for source in sources}
-    stop, fault = threading.Event(), list[InputError]()
-    recorder = McapRecorder(writer, {})
-
-    def run(source: DepthSource, count: _Count) -> None:
-        while not stop.is_set():
-            try:
-                frame = source.read(_LOOK_S)
-            except NoFrame:
-                continue
-            except CameraError as error:
-                count.state = str(error)
-                return
-            if frame is None:
-                count.state = _ENDED
-                return
-            try:
-                recorder.write(frame)
-            except UnfitFrameError:
-                count.lost += 1
-                continue
-            except InputError as error:
-                fault.append(error)
-                stop.set()
-                return
-            count.add(frame.number)
-
-    # Daemons, because a call of an SDK that never returns must not keep the process alive.
-    threads = [
-        threading.Thread(target=run, args=(source, counts[source.name]), name=source.name, daemon=True)
-        for source in sources
-    ]
-    start = time.monotonic()
     with Live(console=console, refresh_per_second=4) as live:
         try:
-            for thread in threads:
-                thread.start()
-            while any(thread.is_alive() for thread in threads) and not stop.is_set():
-                live.update(_table(counts, time.monotonic() - start))
-                if seconds is not None and time.monotonic() - start >= seconds:
+            readers.go()
+            while not readers.over and writing.fault is None:
+                passed_s = show()
+                if seconds is not None and passed_s >= seconds:
                     break
-                time.sleep(min(_LOOK_S, seconds or _LOOK_S))
+                time.sleep(min(LOOK_S, seconds or LOOK_S))
         except KeyboardInterrupt:
             pass
         finally:
             with finishing():
-                stop.set()
-                for thread in threads:
-                    thread.join(5 * _LOOK_S)
-            live.update(_table(counts, time.monotonic() - start))
-    if fault:
-        raise fault[0]
-    if not any(writer.frames.values()):
-        raise InputError(
-            f"no frame came in {time.monotonic() - start:.1f} s: {_why_none(counts)}; {writer.path} holds no frame"
-        )
-    console.print(f"{sum(writer.frames.values())} frames are in {writer.path}")
-    return {
-        "seconds": time.monotonic() - start,
-        "frames": dict(writer.frames),
-        "lost": {name: count.lost for name, count in counts.items()},
-        "states": {name: count.state for name, count in counts.items()},
-    }
+                readers.stop()
+            passed_s = show()
+    return passed_s
 
 
-def _why_none(counts: dict[str, _Count]) -> str:
+def _why_none(states: Mapping[str, str], counts: Mapping[str, _Count]) -> str:
     """What is known of cameras that gave no frame for the file."""
-    told = [count.state for count in counts.values() if count.state not in (_RECORDING, _ENDED)]
+    told = [state for state in states.values() if state not in (RUNNING, SILENT, OPENING, ENDED)]
     told += [f"{count.lost} of {name!r} did not fit and were left out" for name, count in counts.items() if count.lost]
     return "; ".join(told) or "are the cameras running?"
 
 
-def _table(counts: dict[str, _Count], seconds: float) -> Table:
+def _table(known: Mapping[str, SourceState], counts: Mapping[str, _Count], seconds: float) -> Table:
     table = Table(title=f"{seconds:.0f} s", title_justify="left")
     for column in ("camera", "frames", "a second", "lost", "state"):
         table.add_column(column)
     for name, count in counts.items():
         rate = count.frames / max(seconds, 1e-9)
-        table.add_row(name, str(count.frames), f"{rate:.1f}", str(count.lost), count.state)
+        table.add_row(name, str(count.frames), f"{rate:.1f}", str(count.lost), known[name].state)
     return table

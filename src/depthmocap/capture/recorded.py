@@ -44,6 +44,7 @@ class RecordedCamera(DepthSource):
     """One camera of a recording. A frame that cannot be read is left out, as if it had been lost."""
 
     patience_s = float("inf")  # a gap was recorded as it was
+    reopens = False
 
     def __init__(self, recording: Recording, name: str, pace: Pace | None = None) -> None:
         """Raises CameraError when the recording has no such camera, or no frame of it."""

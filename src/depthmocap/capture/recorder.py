@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable
 
 from depthmocap.capture.mcap_writer import SHARED_CLOCK, McapWriter
 from depthmocap.capture.source import DepthFrame
 from depthmocap.geometry import DepthCamera
 
 
+def not_recorded(frame: DepthFrame) -> str:
+    """The line for a frame that ``write`` refused as unfit."""
+    return f"camera {frame.camera!r}: a frame of another size, or of an impossible time, is not recorded"
+
+
 class McapRecorder:
     """Frames into an MCAP file, with the host's time of day. Cameras that come later than the file are added to it."""
 
-    def __init__(self, writer: McapWriter, cameras: Mapping[str, DepthCamera]) -> None:
-        """``cameras``: those that were opened so far, by name; it may grow, or be empty where none comes later."""
-        self._writer, self._cameras = writer, cameras
+    def __init__(self, writer: McapWriter, camera: Callable[[str], DepthCamera | None]) -> None:
+        """``camera`` gives the one of a name, once it was opened; see ``Readers.camera``."""
+        self._writer, self._camera = writer, camera
+        self._adding = threading.Lock()
         self._day_ns = time.time_ns() - time.monotonic_ns()
 
     def write(self, frame: DepthFrame) -> None:
@@ -26,7 +33,10 @@ class McapRecorder:
                 cannot tell.
             InputError: when the file cannot be written any further.
         """
-        if frame.camera in self._cameras and frame.camera not in self._writer.rig.names:
-            self._writer.add_camera(self._cameras[frame.camera])
+        if frame.camera not in self._writer.rig.names:
+            with self._adding:
+                camera = self._camera(frame.camera)
+                if camera is not None and frame.camera not in self._writer.rig.names:
+                    self._writer.add_camera(camera)
         arrival_ns = frame.timestamp_ns if frame.clock == SHARED_CLOCK else frame.arrival_ns + self._day_ns
         self._writer.write(frame.camera, frame.timestamp_ns, frame.raw, arrival_ns, frame.clock)

@@ -92,11 +92,13 @@ class DepthSource(abc.ABC):
         name: of the camera in the rig and in recordings.
         up: the world's up axis. A device does not know where it stands: at the origin, upright, if no rig says better.
         patience_s: a camera that gives nothing for longer than this is lost, because SDKs do not tell of a pulled plug.
+        reopens: one that was lost goes on when it is opened again; a file would begin anew.
         problems: what a user should know and does not end the reading, one line each; who tells them takes them out.
     """
 
     up: str = "-y"
     patience_s: float = 5.0
+    reopens: bool = True
 
     def __init__(self, name: str) -> None:
         """Raises InputError when the name cannot be a camera's."""

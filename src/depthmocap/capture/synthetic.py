@@ -92,6 +92,7 @@ class SyntheticCamera(DepthSource):
     """One camera of a synthetic scene."""
 
     patience_s = float("inf")
+    reopens = False
 
     def __init__(self, scene: SyntheticScene, name: str, pace: Pace | None = None) -> None:
         """Raises CameraError when the scene has no such camera."""

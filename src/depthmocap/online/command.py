@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -49,7 +48,7 @@ class LiveSettings:
         record: a new MCAP file (.mcap) for every frame as it came.
         realtime: play a recording at its own speed, as if it were cameras; otherwise as fast as the machine can, and
             no set is left out.
-        seconds: stop after so long.
+        seconds: stop so long after it was ready for poses.
         segment: "auto" finds the person in a static scene; "none" takes every valid pixel.
         people: follow up to so many; with more than one, each has a folder ``person-N`` in ``out`` besides.
         smooth: the filter over time, see ``depthmocap run``.
@@ -98,23 +97,26 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str
         if settings.record is not None:
             if isinstance(capture, Replay):
                 raise InputError("--record needs --realtime: played as fast as it goes, a recording is only read")
-            cameras = capture.gatherer.cameras
-            writer = McapWriter(settings.record, Rig(tuple(cameras.values()), capture.up), capture.raw_backgrounds())
-            capture.gatherer.recorder = McapRecorder(stack.enter_context(writer), cameras)
+            rig = Rig(tuple(capture.gatherer.cameras.values()), capture.up)
+            backgrounds = {name: raw for name, raw in capture.raw_backgrounds().items() if name in rig.names}
+            writer = stack.enter_context(McapWriter(settings.record, rig, backgrounds))
+            capture.gatherer.recorder = McapRecorder(writer, capture.gatherer.camera)
             stack.callback(capture.stop)  # before the file is closed, into which cameras write
         files = stack.enter_context(PoseFiles(settings.out, capture.up)) if settings.out else None
         everybody = None
         if settings.out is not None and settings.people > 1:
             everybody = stack.enter_context(PeopleFiles(settings.out, capture.up))
         if settings.seconds is not None and isinstance(capture, LiveCapture):
-            # Cameras that deliver nothing give no occasion to look at the time.
-            timer = threading.Timer(settings.seconds, capture.stop)
-            timer.daemon = True
-            timer.start()
-            stack.callback(timer.cancel)
+            capture.stop_after(settings.seconds)
         summary = _follow(capture, files, everybody, settings.seconds, console)
     if not capture.books.poses:
-        raise InputError(f"no set of frames came: {' '.join(capture.problems) or 'are the cameras running?'}")
+        known = "; ".join(capture.problems)
+        if capture.before_ready:
+            raise InputError(
+                f"no set of frames came once it was ready for poses, and {capture.before_ready} before; on a new "
+                f"machine that takes longest: try again{known and f' ({known})'}"
+            )
+        raise InputError(f"no set of frames came: {known or 'are the cameras running?'}")
     _tell(summary, settings, console)
     return summary
 
@@ -131,8 +133,12 @@ def _capture(settings: LiveSettings, console: Console) -> LiveCapture | Replay:
             recording = open_recording(Path(settings.sources[0]), rig)
             sync = dataclasses.replace(sync, rate_hz=settings.rate_hz or 1e9 / recording.period_ns)
             return Replay(recording, sync, make_pipeline)
-    sources = make_sources(settings.sources, Pace(1.0))
-    return LiveCapture(sources, rig, None, sync, settings.rate_hz is None, make_pipeline)
+
+    def tell(line: str) -> None:
+        console.print(f"• {line}")
+
+    sources = make_sources(settings.sources, Pace(1.0), tell)
+    return LiveCapture(sources, rig, None, sync, settings.rate_hz is None, make_pipeline, tell)
 
 
 def _follow(
@@ -149,6 +155,8 @@ def _follow(
     with Live(console=console, auto_refresh=False, transient=True) as screen:
         try:
             for live_pose in capture:
+                if not taken:  # what it takes to be ready is not part of it
+                    begun = time.monotonic() - live_pose.latency_ms * 1e-3
                 taken += 1
                 assert capture.pipeline is not None
                 # What a filter that waits gives at first is not final.

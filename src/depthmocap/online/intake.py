@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import collections
 from collections.abc import Iterable, Iterator
 
 from depthmocap.capture.health import FAULTS, Fault, HealthCheck
+from depthmocap.capture.problems import Problems
 from depthmocap.capture.recording import Recording
 from depthmocap.capture.source import DepthFrame
 from depthmocap.capture.sync import SyncedSet, Synchroniser, SyncSettings
@@ -24,12 +24,12 @@ class Intake:
         problems: what a user should know, one line each, and how often it was so.
     """
 
-    def __init__(self, settings: SyncSettings) -> None:
+    def __init__(self, settings: SyncSettings, problems: Problems | None = None) -> None:
         self.sync = Synchroniser(settings)
         self.cameras: dict[str, DepthCamera] = {}
         self.faults: dict[str, dict[Fault, int]] = {}
         self.ailing: dict[str, Fault] = {}
-        self.problems: collections.Counter[str] = collections.Counter()
+        self.problems = problems or Problems()
         self._checks: dict[str, HealthCheck] = {}
         self._restarts: dict[str, int] = {}
 
@@ -43,7 +43,8 @@ class Intake:
 
     def remove_camera(self, name: str) -> None:
         """Expect no more frames of a camera."""
-        self.cameras.pop(name, None)
+        for known in (self.cameras, self.faults, self.ailing, self._checks, self._restarts):
+            known.pop(name, None)
         self.sync.remove_camera(name)
 
     def add(self, frame: DepthFrame) -> None:
@@ -54,7 +55,7 @@ class Intake:
         fault = self.ailing[name] = self._checks[name](frame.raw, frame.timestamp_ns)
         if fault:
             self.faults[name][fault] = self.faults[name].get(fault, 0) + 1
-            self.problems[f"camera {name!r}: {FAULTS[fault]}"] += 1
+            self.problems.add(f"camera {name!r}: {FAULTS[fault]}")
             return
         self.sync.add(frame)
         clock = self.sync.clock(name)
@@ -62,7 +63,7 @@ class Intake:
             self._restarts[name] = clock.restarts
             # Which of the two it is cannot be told from times alone.
             what = "went back, or its frames were held up for a second" if clock.went_back else "jumped ahead"
-            self.problems[f"camera {name!r}: its clock {what}"] += 1
+            self.problems.add(f"camera {name!r}: its clock {what}")
 
     def run(self, frames: Iterable[DepthFrame]) -> Iterator[SyncedSet]:
         """All sets of frames that come in order of arrival, in their own time, however long anyone takes."""
@@ -84,7 +85,7 @@ def frame_set(synced: SyncedSet, cameras: dict[str, DepthCamera]) -> FrameSet:
     return FrameSet(synced.timestamp_ns, views)
 
 
-def recorded_frames(recording: Recording, problems: collections.Counter[str]) -> Iterator[DepthFrame]:
+def recorded_frames(recording: Recording, problems: Problems) -> Iterator[DepthFrame]:
     """The frames of a recording in order of time, as if each had arrived at the time it was recorded for.
 
     Frames that cannot be read are left out, and told of in ``problems``.
@@ -94,7 +95,7 @@ def recorded_frames(recording: Recording, problems: collections.Counter[str]) ->
         try:
             raw = recording.raw(camera, stamp)
         except InputError as error:
-            problems[str(error)] += 1
+            problems.add(str(error))
             continue
         timestamp_ns, clock = recording.device_time(camera, stamp)
         yield DepthFrame(camera, raw, timestamp_ns, clock, stamp)

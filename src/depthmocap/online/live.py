@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -29,6 +31,8 @@ from depthmocap.pose.agreement import Agreement
 from depthmocap.pose.track import Bones, Smoothing
 
 Segment = Literal["auto", "none"]
+#: Making the pipeline is told of when it takes longer.
+SLOW_S = 2.0
 #: Makes a pipeline for what brings frames, or knows the empty scenes: ``load_pipeline``, with its settings.
 PipelineMaker: TypeAlias = Callable[[FrameSource], Pipeline]
 
@@ -74,6 +78,7 @@ class LiveCapture:
         sync: SyncSettings | None = None,
         measure_rate: bool = True,
         make_pipeline: PipelineMaker = load_pipeline,
+        tell: Callable[[str], None] = lambda line: None,
     ) -> None:
         """
         Args:
@@ -82,7 +87,10 @@ class LiveCapture:
                 not know are learnt while it runs.
             sync, measure_rate: see :class:`Gatherer`.
             make_pipeline: makes the default one.
+            tell: takes a line about what takes long.
         """
+        self._tell, self._seconds = tell, 0.0
+        self._timer: threading.Timer | None = None
         self._sources, self._pipeline, self._make_pipeline = list(sources), pipeline, make_pipeline
         self.gatherer = Gatherer(sources, rig, sync, measure_rate)
         self.books, self._agreement = Books(), Agreement()
@@ -101,7 +109,7 @@ class LiveCapture:
         Raises:
             InputError: when none can be opened, or nobody has told where they stand.
         """
-        self.gatherer.__enter__()
+        self.gatherer.start(self._tell)
         try:
             check_placed(self.gatherer.cameras.values())
         except InputError:
@@ -110,16 +118,29 @@ class LiveCapture:
         return self
 
     def __exit__(self, *failure: object) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
         self.gatherer.stop()
 
     def stop(self) -> None:
         """End the iteration, from any thread."""
         self.gatherer.stop()
 
+    def stop_after(self, seconds: float) -> None:
+        """End the iteration so long after it is ready for poses; after now, if no set comes until then."""
+        self._seconds = seconds
+        self._start_timer()
+
+    def _start_timer(self) -> None:
+        # Cameras that deliver nothing give no occasion to look at the time.
+        self._timer = threading.Timer(self._seconds, self.stop)
+        self._timer.daemon = True
+        self._timer.start()
+
     @property
     def problems(self) -> dict[str, int]:
         """What a user should know, one line each, and how often it was so."""
-        return self.gatherer.intake.problems
+        return self.gatherer.problems.told()
 
     @property
     def dropped(self) -> int:
@@ -128,34 +149,54 @@ class LiveCapture:
 
     def raw_backgrounds(self) -> dict[str, UInt16[ndarray, "_ _"]]:
         """Raw depth of the empty scene, of the cameras that know it."""
-        found = {source.name: source.raw_background for source in self._sources if source.name in self.gatherer.cameras}
+        opened = self.gatherer.cameras
+        found = {source.name: source.raw_background for source in self._sources if source.name in opened}
         return {name: raw for name, raw in found.items() if raw is not None}
 
     def statuses(self) -> list[CameraStatus]:
         """Every camera now."""
-        gatherer = self.gatherer
-        return camera_statuses(gatherer.intake, gatherer.states(), time.monotonic_ns(), gatherer.failures())
+        return self.gatherer.statuses()
 
     def __iter__(self) -> Iterator[LivePose]:
         sets = self.gatherer.sets()
         for synced in sets:
             if self._pipeline is None:
                 self._pipeline = self._begin(frame_set(synced, self.gatherer.cameras))
-                self.before_ready, self.gatherer.dropped = self.gatherer.dropped + 1, 0
+                self.before_ready = self.gatherer.forget_dropped() + 1
                 continue
             result = self._pipeline(frame_set(synced, self.gatherer.cameras))
-            self.gatherer.intake.problems.update(self._agreement(result.cloud))
+            self.gatherer.problems.update(self._agreement(result.cloud))
             last_ns = max(frame.arrival_ns for frame in synced.frames.values())
             latency_ms = (time.monotonic_ns() - last_ns) * 1e-6
             yield _booked(self.books, LivePose(result.pose, synced, result, latency_ms))
-        self.gatherer.intake.problems.update(self._agreement.finish())
+        self.gatherer.problems.update(self._agreement.finish())
 
     def _begin(self, frames: FrameSet) -> Pipeline:
         """The default pipeline, warm; takes the first set for it."""
         cameras = self.gatherer.cameras
-        backgrounds = {name: cameras[name].to_metres(raw) for name, raw in self.raw_backgrounds().items()}
+        raw = {name: raw for name, raw in self.raw_backgrounds().items() if name in cameras}
+        backgrounds = {name: cameras[name].to_metres(each) for name, each in raw.items()}
         scenes = EmptyScenes(Rig(tuple(cameras.values()), self.up), backgrounds)
-        return warm(self._make_pipeline(scenes), frames)
+        if self._timer is not None:
+            self._timer.cancel()
+        slow = "making ready for poses; on a machine that is new to it this takes a minute, because it is compiled"
+        with _told_if_slow(slow, self._tell):
+            pipeline = warm(self._make_pipeline(scenes), frames)
+        if self._timer is not None:
+            self._start_timer()
+        return pipeline
+
+
+@contextlib.contextmanager
+def _told_if_slow(line: str, tell: Callable[[str], None]) -> Iterator[None]:
+    """Tell the line if what is done meanwhile takes long."""
+    timer = threading.Timer(SLOW_S, lambda: tell(line))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def warm(pipeline: Pipeline, frames: FrameSet) -> Pipeline:
@@ -198,7 +239,7 @@ class Replay:
     @property
     def problems(self) -> dict[str, int]:
         """What a user should know, one line each, and how often it was so."""
-        return self.intake.problems
+        return self.intake.problems.told()
 
     def statuses(self) -> list[CameraStatus]:
         """Every camera now."""
