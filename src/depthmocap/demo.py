@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.resources
 from pathlib import Path
 from typing import Any
 
 from rich.table import Table
 
+from depthmocap.capture.open import packaged_recording
 from depthmocap.console import Terminal
 from depthmocap.offline import RunSettings, run
 
@@ -27,8 +27,7 @@ class DemoSettings:
 def demo(settings: DemoSettings) -> dict[str, Any]:
     """Run the demo and tell where things are; returns the summary."""
     console = Terminal()
-    recording = Path(str(importlib.resources.files("depthmocap") / "demo_recording"))
-    summary = run(RunSettings(recording, settings.out), console)
+    summary = run(RunSettings(packaged_recording(), settings.out), console)
     table = Table(title="depthmocap demo", show_header=False)
     table.add_row("frames", f"{summary['frames']} sets of {len(summary['frames_by_camera'])} cameras")
     table.add_row("speed", f"{summary['frames_per_second']:.1f} sets a second")

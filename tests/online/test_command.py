@@ -123,7 +123,8 @@ def test_bones_are_steady_or_free(recording, tmp_path, monkeypatch, virtual, rea
         run_live(LiveSettings((recording,), realtime=realtime, bones=bones))["smoothing"]["bones"]
         for bones in ("free", "steady")
     )
-    assert (given, free) == (["free", "steady"], None)
+    # In real time each is made once more before cameras are opened, to compile what it needs.
+    assert (given[::2] if realtime else given, free) == (["free", "steady"], None)
     assert steady is not None
 
 
@@ -162,8 +163,7 @@ def test_what_it_takes_to_be_ready_is_told_and_waited_for(recording, monkeypatch
     assert summary["seconds"] == pytest.approx(2.0, abs=0.2)
     assert summary["sets_before_ready"] > 6.0 * 10 - 3
     told = console.export_text()
-    assert "• still opening: cam0" in told
-    assert "• making ready for poses" in told
+    assert told.index("• making ready for poses") < told.index("• still opening: cam0")
     for png in (each for name in ("cam0", "cam1") for each in sorted((Path(recording) / name).glob("17*.png"))[1:]):
         png.unlink()
     with pytest.raises(InputError, match="no set of frames came once it was ready for poses, and 1 before"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.resources
 from pathlib import Path
 
 from depthmocap.capture.mcap_recording import McapRecording
@@ -13,6 +14,11 @@ from depthmocap.geometry import Rig
 _FILES: dict[str, type[Recording]] = {".mcap": McapRecording, ".mkv": MkvRecording}
 #: Files that are played like cameras, by back ends.
 _BY_SDK = {".oni": "openni", ".bag": "orbbec"}
+
+
+def packaged_recording() -> Path:
+    """The recording of the demo, which comes with the package."""
+    return Path(str(importlib.resources.files("depthmocap") / "demo_recording"))
 
 
 def open_recording(path: Path, rig: Rig | None = None) -> Recording:

@@ -15,6 +15,7 @@ from jaxtyping import Float, UInt16
 from numpy import ndarray
 
 from depthmocap.capture.cameras import make_sources
+from depthmocap.capture.open import open_recording, packaged_recording
 from depthmocap.capture.recorded import Pace
 from depthmocap.capture.recording import Recording
 from depthmocap.capture.source import DepthSource
@@ -104,11 +105,15 @@ class LiveCapture:
         return self._pipeline
 
     def __enter__(self) -> LiveCapture:
-        """Open the cameras.
+        """Open the cameras, and before that compile what poses need, so that nothing waits for it later.
 
         Raises:
-            InputError: when none can be opened, or nobody has told where they stand.
+            InputError: when no pipeline can be made, no camera can be opened, or nobody has told where they stand.
         """
+        if self._pipeline is None:
+            slow = "making ready for poses; on a machine that is new to it this takes minutes, because it is compiled"
+            with _told_if_slow(slow, self._tell):
+                rehearse(self._make_pipeline)
         self.gatherer.start(self._tell)
         try:
             check_placed(self.gatherer.cameras.values())
@@ -179,9 +184,7 @@ class LiveCapture:
         scenes = EmptyScenes(Rig(tuple(cameras.values()), self.up), backgrounds)
         if self._timer is not None:
             self._timer.cancel()
-        slow = "making ready for poses; on a machine that is new to it this takes a minute, because it is compiled"
-        with _told_if_slow(slow, self._tell):
-            pipeline = warm(self._make_pipeline(scenes), frames)
+        pipeline = warm(self._make_pipeline(scenes), frames)
         if self._timer is not None:
             self._start_timer()
         return pipeline
@@ -199,8 +202,15 @@ def _told_if_slow(line: str, tell: Callable[[str], None]) -> Iterator[None]:
         timer.cancel()
 
 
+def rehearse(make_pipeline: PipelineMaker) -> None:
+    """Compile the inner loops: a pipeline of this kind takes a set of the packaged recording, where a person is in view
+    and the empty scene known. In front of one's own cameras a person may come at any time, and would wait for it."""
+    recording = open_recording(packaged_recording())
+    make_pipeline(recording)(recording[0])
+
+
 def warm(pipeline: Pipeline, frames: FrameSet) -> Pipeline:
-    """The pipeline after a set that counts for nothing: the first one ever compiles the inner loops."""
+    """The pipeline after a set that counts for nothing: what is made on first use is made."""
     pipeline(frames)
     pipeline.reset()
     return pipeline
