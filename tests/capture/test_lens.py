@@ -23,6 +23,18 @@ def test_five_coefficients_stand_for_eight() -> None:
     assert five_coefficients(five) == (0.1, -0.05, 0.001, 0.002, 0.01)
 
 
+def test_a_wide_lens_is_fitted_over_its_own_field() -> None:
+    """Within four pixels of the wide mode, where the narrow mode's fit is tens of pixels off."""
+    r2 = np.linspace(0, 1.75, 100) ** 2
+    full = (1 + r2 * (0.52 + r2 * (-0.02 + r2 * 0.006))) / (1 + r2 * (0.86 + r2 * 0.105))
+    off = []
+    for field in (1.75, 1.0):
+        k1, k2, _, _, k3 = five_coefficients(LENS, field)
+        off.append(np.abs(np.sqrt(r2) * (full - 1 - r2 * (k1 + r2 * (k2 + r2 * k3)))).max() * 504)
+    assert off[0] < 4
+    assert off[1] > 20
+
+
 def test_a_mirror_of_a_mirror() -> None:
     camera = DepthCamera("a", 64, 48, 60.0, 61.0, 30.0, 22.0, distortion=(0.1, -0.05, 0.001, 0.002, 0.01))
     mirror = unmirrored(camera)

@@ -232,6 +232,7 @@ def test_a_file_is_played_frame_by_frame(package: Any, monkeypatch: pytest.Monke
     (tmp_path / "take.oni").touch()
     with OpenNICamera("left", str(tmp_path / "take.oni")) as source:
         assert Device.opened.settings == {"repeat": False, "speed": -1.0}
+        assert not source.reopens  # it would be played from its beginning again
         assert len(list(source)) == 3
     monkeypatch.setattr(Stream, "promised", 5)
     with OpenNICamera("left", str(tmp_path / "take.oni")) as source:

@@ -272,6 +272,7 @@ def test_a_bag_file_is_a_camera_that_ends(sdk: Any, tmp_path: Path) -> None:
     assert source.name == "orbbec-Take-1"
     with source:
         assert isinstance(Fake.last.device, Bag)
+        assert not source.reopens  # it would be played from its beginning again
         assert source.camera.fx == 504.0
         frames = [source.read(0.05) for _ in range(Fake.count + 1)]
     assert [frame and (frame.number, frame.clock) for frame in frames] == [
