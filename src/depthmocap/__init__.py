@@ -12,7 +12,12 @@ Importing this loads neither torch nor a camera SDK; heavier parts are loaded on
 from __future__ import annotations
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any
+
+# Before anything of this package can load ONNX Runtime, which otherwise looks up a host of its maker and keeps a
+# database for it in the user's cache; nothing that is called later ends that. Worker processes inherit it.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, Pose, View

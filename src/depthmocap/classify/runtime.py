@@ -20,6 +20,7 @@ from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.kernels.dense_head import label_dense_pixels
 from depthmocap.kernels.head import label_groups
+from depthmocap.onnx_file import open_network
 
 #: The outputs of each network.
 _OUTPUTS = {
@@ -89,18 +90,8 @@ class Classifier:
         Raises:
             InputError: when the file is missing or not such a network.
         """
-        import onnxruntime
-
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        options.log_severity_level = 3
         source = path or packaged_weights()
-        if not source.is_file():
-            raise InputError(f"{source} not found: give the classifier.onnx of a training run")
-        try:
-            self._session = onnxruntime.InferenceSession(str(source), options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # the runtime's errors share no public base class
-            raise InputError(f"{source} is not a readable ONNX network: {str(error).splitlines()[0]}") from None
+        self._session = open_network(source, "give the classifier.onnx of a training run")
         names = [node.name for node in self._session.get_inputs()], [node.name for node in self._session.get_outputs()]
         name = self._session.get_modelmeta().custom_metadata_map.get("network")
         if names[0] != ["windows"] or name is None:

@@ -13,6 +13,7 @@ from numpy import ndarray
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
+from depthmocap.onnx_file import open_network
 from depthmocap.pose.cloud import MIN_CLOUD_POINTS, LabelledCloud
 from depthmocap.pose.parts import PART_COUNT, body_frame, network_inputs, part_statistics
 
@@ -61,17 +62,7 @@ def voting_session(source: Path) -> onnxruntime.InferenceSession:
     Raises:
         InputError: when the file is missing or not such a network.
     """
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1  # too small to share
-    options.log_severity_level = 3
-    if not source.is_file():
-        raise InputError(f"{source} not found: give the votes.onnx of a training run")
-    try:
-        session = onnxruntime.InferenceSession(str(source), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # the runtime's errors share no public base class
-        raise InputError(f"{source} is not a readable ONNX network: {str(error).splitlines()[0]}") from None
+    session = open_network(source, "give the votes.onnx of a training run")
     names = [node.name for node in session.get_inputs()], [node.name for node in session.get_outputs()]
     if names != (["parts"], ["joints", "sure"]):
         raise InputError(f"{source} is not a voting network: its inputs and outputs are {names}")

@@ -33,6 +33,7 @@ from depthmocap.output import write_file, writing
 from depthmocap.owning import LOCK_FILE, own_folder
 from depthmocap.settings import check_seed, plain_settings
 from depthmocap.synth.output.card import CardRow, card_stride, write_card
+from depthmocap.synth.output.cluster import RayCluster
 from depthmocap.synth.output.units import Folder, Layout, Made, Unit, describing_units, make_unit, open_folder
 from depthmocap.synth.output.workers import ordered
 from depthmocap.synth.sample import Recipe
@@ -103,14 +104,17 @@ def generate(settings: SynthSettings, console: Console | None = None) -> Path:
     if settings.format == "ubc3v":
         _check_storable(settings.recipe)
     console = console or Terminal(stderr=True)
-    if settings.preset is None:
-        return _make_set(settings, console)
-    subset, samples = _PRESETS[settings.preset]
-    folder = settings.out
-    for split, share in _SPLITS.items():
-        recipe = dataclasses.replace(settings.recipe, subset=subset, split=split)
-        folder = _make_set(dataclasses.replace(settings, recipe=recipe, samples=round(samples * share)), console)
-    return folder.parent
+    with contextlib.ExitStack() as stack:
+        cluster = None if settings.ray is None else stack.enter_context(RayCluster(settings.ray))
+        if settings.preset is None:
+            return _make_set(settings, cluster, console)
+        subset, samples = _PRESETS[settings.preset]
+        folder = settings.out
+        for split, share in _SPLITS.items():
+            recipe = dataclasses.replace(settings.recipe, subset=subset, split=split)
+            part = dataclasses.replace(settings, recipe=recipe, samples=round(samples * share))
+            folder = _make_set(part, cluster, console)
+        return folder.parent
 
 
 def _check_storable(recipe: Recipe) -> None:
@@ -124,7 +128,7 @@ def _check_storable(recipe: Recipe) -> None:
         )
 
 
-def _make_set(settings: SynthSettings, console: Console) -> Path:
+def _make_set(settings: SynthSettings, cluster: RayCluster | None, console: Console) -> Path:
     recipe = settings.recipe
     folder = settings.out / f"{recipe.subset}-pose" / recipe.split
     with writing(folder):
@@ -144,9 +148,9 @@ def _make_set(settings: SynthSettings, console: Console) -> Path:
             rows: dict[int, CardRow] = {}
             if missing := list(target.missing(samples)):
                 card.unlink(missing_ok=True)  # it is of a smaller set
-                rows = _make_units(settings, whole, target, missing, console)
+                rows = _make_units(_runner(settings, cluster, _count(missing)), whole, target, missing, console)
             if not card.exists():
-                _describe(settings, whole, rows)
+                _describe(settings, cluster, whole, rows)
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise InputError(
@@ -177,7 +181,7 @@ def _claim(folder: Path, settings: SynthSettings) -> str:
     path = folder / "settings.json"
     if _others(folder):
         try:
-            earlier = json.loads(path.read_text())
+            earlier = json.loads(path.read_text(encoding="utf-8"))
             flat = [_flat(earlier), _flat(wanted)]
         except (ValueError, AttributeError):
             raise InputError(f"{path} is damaged: remove {folder} and make the set again") from None
@@ -195,12 +199,13 @@ def _flat(settings: dict[str, Any]) -> dict[str, Any]:
     return {**{key: value for key, value in settings.items() if key != "recipe"}, **recipe}
 
 
-def _runner(settings: SynthSettings, samples: int) -> _Runner:
-    if settings.ray is not None:
-        from depthmocap.synth.output.cluster import ordered_on_ray
+def _count(stretches: Sequence[tuple[int, int]]) -> int:
+    return sum(stop - start for start, stop in stretches)
 
-        address = settings.ray
-        return lambda units: ordered_on_ray(make_unit, units, address)
+
+def _runner(settings: SynthSettings, cluster: RayCluster | None, samples: int) -> _Runner:
+    if cluster is not None:
+        return lambda units: cluster.ordered(make_unit, units)
     workers = settings.workers
     if workers is None:
         workers = min(usable_cores(), samples // _WORTH_A_WORKER)
@@ -209,10 +214,10 @@ def _runner(settings: SynthSettings, samples: int) -> _Runner:
 
 
 def _make_units(
-    settings: SynthSettings, whole: Unit, target: Folder, missing: Sequence[tuple[int, int]], console: Console
+    run: _Runner, whole: Unit, target: Folder, missing: Sequence[tuple[int, int]], console: Console
 ) -> dict[int, CardRow]:
     """Make what the folder lacks; returns the rows of the card that it gave, by index."""
-    left = sum(stop - start for start, stop in missing)
+    left = _count(missing)
     rows: dict[int, CardRow] = {}
     with Progress(
         TextColumn("{task.description}"),
@@ -227,7 +232,7 @@ def _make_units(
             f"{whole.folder.parent.name}/{whole.folder.name}", total=whole.samples, completed=whole.samples - left
         )
         units = (dataclasses.replace(whole, start=start, stop=stop) for start, stop in missing)
-        with contextlib.closing(target), contextlib.closing(_runner(settings, left)(units)) as all_made:
+        with contextlib.closing(target), contextlib.closing(run(units)) as all_made:
             for made in all_made:
                 target.commit(made)
                 rows.update((row.index, row) for row in made.rows)
@@ -235,15 +240,15 @@ def _make_units(
     return rows
 
 
-def _describe(settings: SynthSettings, whole: Unit, rows: dict[int, CardRow]) -> None:
+def _describe(settings: SynthSettings, cluster: RayCluster | None, whole: Unit, rows: dict[int, CardRow]) -> None:
     """Write the card; samples that an earlier run made are drawn once more."""
     stride = card_stride(whole.samples)
     units = list(describing_units(whole, list(rows), stride))
-    with contextlib.closing(_runner(settings, len(units) * 16)(units)) as all_made:
+    with contextlib.closing(_runner(settings, cluster, len(units) * 16)(units)) as all_made:
         for made in all_made:
             rows.update((row.index, row) for row in made.rows)
     facts = {
-        **json.loads((whole.folder / "settings.json").read_text()),
+        **json.loads((whole.folder / "settings.json").read_text(encoding="utf-8")),
         "settings": whole.identity,
         "samples": whole.samples,
         "views": whole.samples * whole.recipe.views,
