@@ -22,6 +22,7 @@ from depthmocap.body.borders import RegionMesh, cut_along_borders
 from depthmocap.body.posture import POSTURE_BONES, POSTURE_OF_ANNY, world_rotations
 from depthmocap.body.region_map import face_regions
 from depthmocap.body.skeleton import ANNY_BONES
+from depthmocap.caches import see_to_home, temporary_cache
 from depthmocap.errors import missing_extra
 from depthmocap.kernels.skin import skin
 
@@ -143,14 +144,24 @@ class BodyModel:
         Raises:
             InputError: when anny is not installed.
         """
+        see_to_home()
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 import anny
                 import warp
+                from anny.paths import get_anny_cache_path, set_anny_cache_path
 
                 setattr(warp.config, "quiet", True)  # noqa: B010 - the module builds its settings at import
-                return cls(anny.Anny(rig="makehuman", topology="anny-noeyes-notongue", skinning_method="lbs"))
+                build = functools.partial(
+                    anny.Anny, rig="makehuman", topology="anny-noeyes-notongue", skinning_method="lbs"
+                )
+                try:
+                    return cls(build())
+                except OSError as error:  # a cache that cannot be written serves as long as all is in it
+                    why = f"Anny cannot write its cache {get_anny_cache_path()} ({error.strerror})"
+                    set_anny_cache_path(temporary_cache("ANNY_CACHE_DIR", why))
+                    return cls(build())
         except ImportError:
             raise missing_extra("anny", "train") from None
 
