@@ -77,7 +77,7 @@ def _processor() -> str:
     """The processor's name: Python knows it on few systems, Linux tells it in a file."""
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.is_file():
-        for line in cpuinfo.read_text().splitlines():
+        for line in cpuinfo.read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
@@ -192,7 +192,7 @@ def main(settings: Settings) -> None:
         console.print(f"• {note}", markup=False, highlight=False)
     if settings.json is not None:
         settings.json.parent.mkdir(parents=True, exist_ok=True)
-        settings.json.write_text(json.dumps(as_json(bench, before, after), indent=1) + "\n")
+        settings.json.write_text(json.dumps(as_json(bench, before, after), indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -147,7 +147,7 @@ def _memory_mb() -> float:
     """Resident now, where the system tells; otherwise the most so far."""
     status = Path("/proc/self/status")
     if status.exists():
-        line = next(line for line in status.read_text().splitlines() if line.startswith("VmRSS"))
+        line = next(line for line in status.read_text(encoding="utf-8").splitlines() if line.startswith("VmRSS"))
         return int(line.split()[1]) / 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
@@ -285,7 +285,7 @@ def main(settings: SoakSettings) -> None:
         console.print(f"• {problem}{f' ({times} times)' if times > 1 else ''}", markup=False, highlight=False)
     if settings.json is not None:
         settings.json.parent.mkdir(parents=True, exist_ok=True)
-        settings.json.write_text(json.dumps(numbers, indent=1) + "\n")
+        settings.json.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

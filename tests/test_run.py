@@ -2,8 +2,11 @@
 
 import dataclasses
 import json
+import os
 import shutil
 import signal
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,9 +15,11 @@ from depthmocap import InputError, RunSettings, load_pipeline, offline, open_sou
 from depthmocap.body.model import REST_POSTURE
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.capture.recording import RecordingWriter
+from depthmocap.classify.runtime import packaged_weights
 from depthmocap.cli import main
 from depthmocap.export import CsvWriter, read_bvh, read_csv, read_trc, write_trc
 from depthmocap.geometry import DepthCamera, Rig, load_rig, look_at, save_rig
+from depthmocap.offline import RESULTS
 from depthmocap.synth.render import render_body
 
 #: Cameras of different sizes and makes around a person at the origin.
@@ -65,6 +70,20 @@ def test_run_writes_everything_and_finds_the_joints(recording, tmp_path):
     assert summary["error"]["mean_joint_error_cm"] < 8
     assert summary["error"]["within_10cm"] > 0.8
     assert set(summary["ms_per_stage"]) == {"read", "segment", "label", "merge", "joints", "smooth"}
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_nobody_can_be_told_and_no_path_is_text(recording, tmp_path, monkeypatch):
+    odd = tmp_path / os.fsdecode(b"caf\xe9")
+    odd.mkdir()
+    source, weights = shutil.copytree(recording, odd / "take"), shutil.copy(packaged_weights(), odd / "net.onnx")
+    with open("/dev/full", "w", encoding="utf-8") as full:  # noqa: PTH123 - of the type of the standard streams
+        monkeypatch.setattr(sys, "stderr", full)
+        options = ["--out", str(odd / "out"), "--segment", "none", "--weights", str(weights)]
+        assert main(["run", str(source), *options]) == 0
+    assert {each.name for each in (odd / "out").iterdir()} >= set(RESULTS)
+    summary = json.loads((odd / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert summary["recording"] == str(source) and summary["frames"] == 6
 
 
 def test_files_agree_with_each_other(recording, tmp_path):

@@ -6,7 +6,6 @@ import contextlib
 import dataclasses
 import importlib
 import io
-import os
 import sys
 import warnings
 from typing import Any
@@ -19,6 +18,7 @@ from depthmocap import __version__
 from depthmocap.console import Terminal
 from depthmocap.ending import ended_by_signals
 from depthmocap.errors import InputError, missing_extra
+from depthmocap.streams import lasting_streams
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,18 +123,15 @@ class _Held(io.StringIO):
 
 
 def _parse(settings: type, arguments: list[str], prog: str) -> Any:
-    """The settings that the arguments tell. Help that nobody reads to its end (``| head``) ends in silence.
+    """The settings that the arguments tell.
 
     Raises:
         InputError: of the settings themselves, which the parser would put into a frame.
     """
     held = _Held()
     try:
-        try:
-            with contextlib.redirect_stderr(held):
-                return tyro.cli(settings, args=arguments, prog=prog)
-        finally:
-            sys.stdout.flush()
+        with contextlib.redirect_stderr(held):
+            return tyro.cli(settings, args=arguments, prog=prog)
     except SystemExit as end:
         cause = end.__context__
         while cause is not None and not isinstance(cause, InputError):
@@ -143,10 +140,6 @@ def _parse(settings: type, arguments: list[str], prog: str) -> Any:
             raise cause from None
         sys.stderr.write(held.getvalue())
         raise
-    except BrokenPipeError:
-        # Python flushes once more at its end, and would complain.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise SystemExit(1) from None
 
 
 def _tell_error(console: Console, error: InputError) -> None:
@@ -155,10 +148,15 @@ def _tell_error(console: Console, error: InputError) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; returns the exit status. Bad input is one line on stderr and status 2; SIGTERM and SIGHUP end
-    a command as Ctrl-C does, everything written, with status 143 and 129."""
-    with ended_by_signals() as ending:
-        status = _main(arguments)
-    return status if ending.status is None else ending.status
+    a command as Ctrl-C does, everything written, with status 143 and 129. Work goes on when nobody can be told of it,
+    and text for the standard output that could not be written is status 1."""
+    with lasting_streams() as out:
+        try:
+            with ended_by_signals() as ending:
+                status = _main(arguments)
+        except SystemExit as end:  # of the parser
+            raise SystemExit(end.code or out.status()) from None
+        return ending.status or status or out.status()
 
 
 def _main(arguments: list[str] | None) -> int:

@@ -3,23 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import IO, Any, TextIO, cast
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.markup import escape
 from rich.segment import Segment
 from rich.text import Text
 
+from depthmocap.streams import lasting
 from depthmocap.text import harmless
 
 
 class Terminal(Console):
     """A console for which no text is markup. A string, also one in a table, is one line; nothing that is printed, by
-    whatever way, holds a control character that is not the console's own."""
+    whatever way, holds a control character that is not the console's own. Work does not end because it cannot be told
+    of: what its stream does not take is dropped."""
 
     def __init__(self, **options: Any) -> None:
         """``options``: of rich's console."""
         super().__init__(markup=False, highlight=False, emoji=False, **options)
+
+    @property
+    def file(self) -> IO[str]:
+        """What it prints to."""
+        return lasting(cast(TextIO, super().file))
+
+    @file.setter
+    def file(self, new_file: IO[str]) -> None:
+        self._file = new_file
 
     def render_str(self, text: str, **options: Any) -> Text:
         return super().render_str(harmless(text), **options)

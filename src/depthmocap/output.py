@@ -52,13 +52,14 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_file(path: Path, data: bytes | memoryview | str) -> None:
-    """Write a file in one piece (see :func:`replacing`), text as UTF-8 with the line ends it has.
+    """Write a file in one piece (see :func:`replacing`), text as UTF-8 with the line ends it has. Bytes of a path that
+    are no UTF-8 are escaped, as JSON escapes them: ``\\udcff``.
 
     Raises:
         InputError: when it cannot be written.
     """
     with replacing(path) as unfinished:
-        unfinished.write_bytes(data.encode() if isinstance(data, str) else data)
+        unfinished.write_bytes(data.encode(errors="backslashreplace") if isinstance(data, str) else data)
 
 
 def remove_unfinished(folder: Path) -> None:

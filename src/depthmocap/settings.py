@@ -60,7 +60,7 @@ def claim_folder(folder: Path, settings: Any, what: str, free: Collection[str]) 
     mine = json.loads(json.dumps(plain_settings(settings)))  # which has lists for tuples
     path = folder / "settings.json"
     if path.exists():
-        theirs = json.loads(path.read_text())
+        theirs = json.loads(path.read_text(encoding="utf-8"))
         differ = [name for name, value in mine.items() if name not in free and theirs.get(name) != value]
         if differ:
             options = ", ".join(f"--{name.replace('_', '-')} {theirs.get(name)}" for name in differ)

@@ -1,6 +1,7 @@
 """``depthmocap live`` on a small recording, with a pipeline that costs nothing: its files, and what it says."""
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from depthmocap.capture.convert import ConvertSettings, convert
 from depthmocap.capture.open import open_recording
 from depthmocap.capture.recording import RecordingWriter
 from depthmocap.capture.simulator import Faults, SimulatedCamera, Simulation
+from depthmocap.cli import main
 from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.export import read_bvh, read_csv, read_trc
@@ -60,6 +62,15 @@ def test_as_fast_as_it_goes_every_set_becomes_a_pose(recording, tmp_path):
     assert written["sets_dropped"] == 0
     assert written["cameras"]["cam1"]["counts"]["used"] == SETS
     assert not written["interrupted"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_streams_that_are_full_end_nothing(recording, tmp_path, monkeypatch):
+    with open("/dev/full", "w", encoding="utf-8") as full:  # noqa: PTH123 - of the type of the standard streams
+        monkeypatch.setattr(sys, "stderr", full)
+        assert main(["live", recording, "--out", str(tmp_path / "out")]) == 0
+    assert len(read_csv(tmp_path / "out" / "pose.csv")[0]) == SETS
+    assert len(read_bvh(tmp_path / "out" / "pose.bvh")[0]) == SETS
 
 
 def test_a_filter_that_waits_gives_every_pose_once(recording, tmp_path, monkeypatch):

@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
+import os
 import struct
 from collections.abc import Iterator, Mapping
 from decimal import Decimal
@@ -115,6 +116,11 @@ def _list_frames(folder: Path) -> dict[int, Path]:
     return dict(sorted(frames.items()))
 
 
+def camera_folder(recording: Path, name: str) -> Path:
+    """The folder of a camera's frames. Its name is in UTF-8 on the disk, in whatever locale Python takes names."""
+    return recording / os.fsdecode(name.encode())
+
+
 class Recording:
     """A recording folder as a sequence of frame sets, read from disk as they are asked for.
 
@@ -151,7 +157,7 @@ class Recording:
         stamps = {name: own for name, own in self._stamps.items() if own}
         for name in self.rig.names:
             if name not in stamps:
-                self._note(f"{path / name}: no frames; the recording goes on without camera {name!r}")
+                self._note(f"{camera_folder(path, name)}: no frames; the recording goes on without camera {name!r}")
         self.period_ns: int = frame_period_ns(stamps)
         check_unit(path, self.period_ns)
         check_clocks(path, stamps, self.period_ns)
@@ -178,13 +184,14 @@ class Recording:
                 raise InputError(f"{path} is a section of UBC3V, not a recording: pass it as a UBC3V section")
             raise InputError(f"{path} has no rig.json: {_LAYOUT}")
         rig = load_rig(path / "rig.json")
-        self._files = {name: _list_frames(path / name) for name in rig.names}
+        self._files = {name: _list_frames(camera_folder(path, name)) for name in rig.names}
         if not any(self._files.values()):
             if left:
                 raise InputError(left)
             raise InputError(f"{path} has no frames of its cameras ({', '.join(rig.names)}): {_LAYOUT}")
+        of_cameras = {camera_folder(path, name) for name in rig.names}
         for folder in sorted(path.iterdir()):
-            if folder.is_dir() and folder.name not in rig.names and next(folder.glob("*.png"), None):
+            if folder.is_dir() and folder not in of_cameras and next(folder.glob("*.png"), None):
                 self._note(f"{folder} is not read: rig.json has no camera of that name")
         return rig, {name: list(files) for name, files in self._files.items()}
 
@@ -233,12 +240,12 @@ class Recording:
 
     def raw_background(self, name: str) -> UInt16[ndarray, "h w"] | None:
         """Raw depth of the empty scene, if the camera has a background frame."""
-        path = self.path / name / BACKGROUND_FILE
+        path = camera_folder(self.path, name) / BACKGROUND_FILE
         return read_depth_png(path, self.rig[name]) if path.exists() else None
 
     def _where(self, name: str, what: str) -> str:
         """The place of a frame or a background, for messages."""
-        return str(self.path / name / f"{what}.png")
+        return str(camera_folder(self.path, name) / f"{what}.png")
 
     @property
     def problems(self) -> list[str]:
@@ -389,7 +396,7 @@ class RecordingWriter:
     def _begin(self, path: Path, rig: Rig, backgrounds: Mapping[str, UInt16[ndarray, "_ _"]]) -> None:
         for name in rig.names:
             try:
-                (path / name).mkdir()
+                camera_folder(path, name).mkdir()
             except FileExistsError:  # as another camera's, where case makes no difference
                 raise InputError(f"{path}: camera {name!r} would share a folder with another: rename it") from None
         save_rig(rig, path / "rig.json")
@@ -455,4 +462,4 @@ class RecordingWriter:
         check_frame(self.path, self.rig, name, raw)
         # Encoded in memory because OpenCV cannot open a path with non-ASCII letters on Windows.
         _, data = cv2.imencode(".png", raw, [cv2.IMWRITE_PNG_COMPRESSION, self.compression])
-        write_file(self.path / name / file, data.data)
+        write_file(camera_folder(self.path, name) / file, data.data)

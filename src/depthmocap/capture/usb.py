@@ -37,7 +37,7 @@ def usb_devices(root: Path = _ROOT, nodes: Path = _NODES) -> list[UsbDevice]:
 
     def read(folder: Path, name: str) -> str:
         try:
-            return (folder / name).read_text(errors="replace").strip()
+            return (folder / name).read_text(encoding="utf-8", errors="replace").strip()
         except OSError:
             return ""
 

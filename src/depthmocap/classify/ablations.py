@@ -111,7 +111,7 @@ def train_ablations(settings: AblationTraining, console: Console | None = None) 
             }  # fmt: skip
             write_json(measured, row)
         if measured.exists():
-            found["runs"][ablation] = json.loads(measured.read_text())
+            found["runs"][ablation] = json.loads(measured.read_text(encoding="utf-8"))
             write_json(settings.out / "table.json", found)
     rows = _rows(found["runs"])
     table = Table(*_HEADER, title=_title(settings))

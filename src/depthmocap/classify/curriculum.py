@@ -165,7 +165,7 @@ def _measured(settings: CurriculumTraining, optimiser: Optimiser, stage: _Stage 
     folder = settings.out / optimiser
     path = folder / f"{name.replace(' ', '_')}.json"
     if path.exists():
-        return json.loads(path.read_text())
+        return json.loads(path.read_text(encoding="utf-8"))
     torch.manual_seed(settings.seed)  # as training does before it makes the network
     network = NETWORKS["paper"]()
     if stage is not None:
@@ -256,7 +256,7 @@ def _history(settings: CurriculumTraining, optimiser: Optimiser, names: list[str
     rows, before = [], 0
     for stage in (stage for stage in STAGES if stage.name in names):
         path = settings.training(optimiser, stage).out / "history.jsonl"
-        own = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+        own = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
         rows += [
             {
                 "step": (before + row["step"]) // PAPER_BATCH, f"{stage.name} loss": row["loss"],

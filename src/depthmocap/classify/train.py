@@ -32,6 +32,7 @@ from depthmocap.errors import InputError
 from depthmocap.output import write_file
 from depthmocap.owning import owns
 from depthmocap.precision import in_bfloat16
+from depthmocap.reading.files import read_bytes
 from depthmocap.report.metrics import PixelAccuracy
 from depthmocap.settings import check_above_0, check_at_least, check_seed, claim_folder
 from depthmocap.synth.sample import Subset
@@ -45,6 +46,8 @@ _CALIBRATION = 64
 _RATES: dict[Optimiser, tuple[float, float]] = {"adamw": (2e-3, 0.02), "sgd": (0.03, 5e-4)}
 #: A run that is killed loses no more than this.
 _SAVE_EVERY_S = 300.0
+#: Bytes of a file of weights, at most.
+_LARGEST_WEIGHTS = 1 << 30
 #: Settings that may change when a run is gone on with: how long, where and how fast it learns, and what is exported.
 _FREE = (
     "out", "images", "minutes", "blend", "postures", "workers", "device", "bfloat16", "valid_every", "valid_images",
@@ -347,13 +350,14 @@ def load_weights(network: nn.Module, path: Path, *, grow: bool = False) -> None:
         InputError: when the file is missing, malformed or of another network.
     """
     from safetensors import SafetensorError
-    from safetensors.torch import load_file
+    from safetensors.torch import load
 
+    data = read_bytes(path, _LARGEST_WEIGHTS)
     try:
-        state = load_file(path)
+        state = load(data)
         state = {k: v.float() if v.is_floating_point() else v for k, v in state.items()}
         network.load_state_dict(grown(network, state) if grow else state)
-    except (OSError, SafetensorError, RuntimeError, ValueError) as error:
+    except (SafetensorError, RuntimeError, ValueError) as error:
         raise InputError(f"{path} does not hold weights of this network: {str(error).splitlines()[0]}") from None
 
 

@@ -79,7 +79,7 @@ def evaluate_labels2d(settings: Labels2dEvaluation, console: Console | None = No
     """
     path = settings.folder / "joints2d.json"
     try:
-        people = json.loads(path.read_text())
+        people = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(f"{path} not found") from None
     except json.JSONDecodeError as error:
