@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +12,9 @@ from matplotlib.figure import Figure
 from numpy import ndarray
 
 from depthmocap.calibrate.verdict import FAIR, GOOD, PairVerdict
+from depthmocap.report.charts import COLOURS, INK, SOFT, as_png, label_of
 from depthmocap.report.page import Cell, ReportFigure, ReportSection, ReportTable, write_report
 
-_COLOURS = ("#c4452f", "#2f6fb5", "#3f8f5b", "#8a5bb0", "#b8862b", "#4d5661")
-_INK, _SOFT = "#2a2f35", "#6b737c"
 _DPI = 200
 #: Points of a camera in a picture.
 _POINTS = 5000
@@ -86,23 +84,21 @@ def draw_clouds(
     low, high = np.percentile(points, _WITHIN, axis=0)
     for index, (title, across, along) in enumerate((("from above", 0, 1), ("from the side", 0, 2))):
         axes = figure.add_subplot(1, 2, index + 1)
-        for colour, (name, cloud), pose in zip(_COLOURS * 4, clouds.items(), poses, strict=False):
+        for colour, (name, cloud), pose in zip(COLOURS * 4, clouds.items(), poses, strict=False):
             thin = cloud[:: max(len(cloud) // _POINTS, 1)]
             axes.plot(thin[:, across], thin[:, along], ".", color=colour, markersize=0.8)
             eye, tip = pose[:3, 3], pose[:3, 3] + 0.4 * pose[:3, 2]
             axes.plot(*np.stack([eye, tip])[:, [across, along]].T, color=colour, linewidth=2)
-            axes.plot(eye[across], eye[along], "o", color=colour, markersize=6, label=name)
+            axes.plot(eye[across], eye[along], "o", color=colour, markersize=6, label=label_of(name))
         if way is not None:
             axes.plot(way[:, across], way[:, along], color="black", linewidth=0.8)
         axes.set_xlim(low[across] - 0.4, high[across] + 0.4)
         axes.set_ylim(low[along] - 0.4, high[along] + 0.4)
         axes.set_aspect("equal")
-        axes.set_title(title, fontsize=10, color=_INK)
-        axes.set_xlabel("x (m)", fontsize=9, color=_INK)
-        axes.set_ylabel("xyz"[along] + " (m)", fontsize=9, color=_INK)
-        axes.tick_params(colors=_SOFT, labelsize=8)
+        axes.set_title(title, fontsize=10, color=INK)
+        axes.set_xlabel("x (m)", fontsize=9, color=INK)
+        axes.set_ylabel("xyz"[along] + " (m)", fontsize=9, color=INK)
+        axes.tick_params(colors=SOFT, labelsize=8)
         if index == 0:
             axes.legend(frameon=False, fontsize=8, loc="upper right")
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()
+    return as_png(figure)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from io import BytesIO
 from typing import Any
@@ -11,6 +12,7 @@ from jaxtyping import Integer
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import EngFormatter, MaxNLocator
 from numpy import ndarray
 
@@ -46,9 +48,21 @@ def _legend(axes: Axes) -> None:
     axes.legend(frameon=False, fontsize=9, labelcolor=INK)
 
 
+def label_of(name: str) -> str:
+    """A name as the label of what is drawn; the legend leaves out labels that begin with an underscore."""
+    return f" {name}" if name.startswith("_") else name
+
+
 def as_png(figure: Figure) -> bytes:
+    """The figure as a PNG file. Names of others may be in any of its texts: none is set as a formula, and letters that
+    the font lacks are shown as boxes without a word."""
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        text.set_parse_math(False)
     buffer = BytesIO()
-    figure.savefig(buffer, format="png")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)
+        figure.savefig(buffer, format="png")
     return buffer.getvalue()
 
 
@@ -75,7 +89,8 @@ def precision_curve(metrics: Mapping[str, JointMetrics]) -> bytes:
     """Share of the joints within each distance of the truth, a curve per label."""
     figure, (axes,) = new_figure(6.4, 3.6)
     for i, (label, each) in enumerate(metrics.items()):
-        axes.plot(CURVE_THRESHOLDS_CM, np.array(each.curve) * 100, color=COLOURS[i % 6], linewidth=2, label=label)
+        shares = np.array(each.curve) * 100
+        axes.plot(CURVE_THRESHOLDS_CM, shares, color=COLOURS[i % 6], linewidth=2, label=label_of(label))
     axes.axvline(10, color=SOFT, linewidth=0.8, linestyle=(0, (4, 3)))
     axes.set_xlim(0, CURVE_THRESHOLDS_CM[-1])
     axes.set_ylim(0, 101)
@@ -93,7 +108,7 @@ def reliability_diagram(found: Mapping[str, Reliability]) -> bytes:
     for i, (label, each) in enumerate(found.items()):
         x, y, joints = np.array(each.confidence) * 100, np.array(each.within_10cm) * 100, np.array(each.joints)
         name = f"{label}: off by {each.calibration_error:.1%}" if joints.size else label
-        axes.plot(x, y, color=COLOURS[i % 6], linewidth=1.4, label=name)
+        axes.plot(x, y, color=COLOURS[i % 6], linewidth=1.4, label=label_of(name))
         sizes = 12 + 120 * np.sqrt(joints / max(joints.sum(), 1))
         axes.scatter(x, y, s=sizes, color=COLOURS[i % 6], clip_on=False, zorder=3)
     axes.set_xlim(0, 101)

@@ -19,6 +19,7 @@ from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry import z_up_from
 from depthmocap.output import replacing
+from depthmocap.text import harmless, shortened
 
 #: The paper's colours (Fig. 7), lightened for a dark ground.
 TRUTH_COLOUR = (92, 160, 255)
@@ -144,7 +145,8 @@ def labelled_depth_strip(
     texts = []
     for i, (view, each) in enumerate(zip(views, labels, strict=True)):
         left = i * (width + gap)
-        texts.append(((left + 6, 4), view.camera.name, _TEXT))
+        name = shortened(harmless(view.camera.name), max(width // 10, 4))
+        texts.append(((left + 6, 4), name, _TEXT))
         pictures = [depth_picture(view.depth_m, view.mask)]
         if each is not None:
             pictures.append(colour_labels(each, view.depth_m))
