@@ -19,7 +19,7 @@ from depthmocap.classify.runtime import packaged_weights
 from depthmocap.cli import main
 from depthmocap.export import CsvWriter, read_bvh, read_csv, read_trc, write_trc
 from depthmocap.geometry import DepthCamera, Rig, load_rig, look_at, save_rig
-from depthmocap.offline import RESULTS
+from depthmocap.offline import RESULTS, _way_out
 from depthmocap.synth.render import render_body
 
 #: Cameras of different sizes and makes around a person at the origin.
@@ -202,6 +202,21 @@ def test_many_problems_are_told_in_few_lines(recording, tmp_path, capsys):
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert len(summary["problems"]) == 5
     assert summary["first_timestamp_ns"] == 1_000_000_000
+
+
+def test_nobody_is_offered_a_background_that_is_there(tmp_path):
+    rig = Rig(cameras()[:2])
+    floor = {camera.name: np.full((camera.height, camera.width), 2500, np.uint16) for camera in rig.cameras}
+    for known in (["cam0"], ["cam0", "cam1"]):
+        path = tmp_path / str(len(known))
+        with RecordingWriter(path, rig, {name: floor[name] for name in known}) as writer:
+            for i in range(4):
+                writer.write(i * 100_000_000, floor)
+        source = open_source(path)
+        way = _way_out(source, "auto")
+        assert ("the empty scene of camera 'cam1' (background.png)" in way) == (len(known) == 1)
+        assert "cam0" not in way
+        assert "--segment" not in _way_out(source, "none")
 
 
 def test_python_api(recording):

@@ -7,7 +7,7 @@ from rich.text import Text
 
 from depthmocap.console import Terminal, description
 from depthmocap.errors import LONGEST, InputError
-from depthmocap.text import harmless, shortened
+from depthmocap.text import cameras, harmless, joined, shortened
 
 HOSTILE = "left[/x]\x1b[2J\x07\r\n• forged :bug: \u202e\udcff"
 SHOWN = r"left[/x]\x1b[2J\x07\r\n• forged :bug: \u202e\udcff"
@@ -57,3 +57,11 @@ def test_no_text_is_longer_than_what_it_may_be(text: str) -> None:
     assert shortened("short", 5) == "short"
     assert len(shortened(text, 100)) <= 100
     assert "…" in shortened(text, 100)
+
+
+def test_what_is_told_of_several_is_one_sentence() -> None:
+    assert cameras(["a"]) == "camera 'a'"
+    assert cameras(["a", "b", "c"]) == "cameras 'a', 'b' and 'c'"
+    assert joined([]) == ""
+    assert joined(["one is bad.", "one is bad", "two is bad"]) == "one is bad; two is bad"
+    assert joined(["a", "b", "c", "d"]) == "a; b; and 2 more"

@@ -37,6 +37,7 @@ from depthmocap.pose.agreement import Agreement
 from depthmocap.pose.estimate import load_estimator
 from depthmocap.pose.track import AUTO, Bones, Smoothing, load_filter
 from depthmocap.report.metrics import joint_metrics
+from depthmocap.text import cameras, joined
 
 #: What a run writes beside the folders of people.
 RESULTS = ("pose.csv", "pose.trc", "pose.bvh", "summary.json", "report.html", "preview.webp")
@@ -221,10 +222,7 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
     if interrupted and not poses:
         raise KeyboardInterrupt
     if not poses or all(np.isnan(pose.joints).all() for pose in poses):
-        hint = " ".join(_few(problems)) or (
-            "try --segment none, add a background.png for each camera, or see that the cameras stand where the rig "
-            "says (world_from_camera is the camera's pose in the world, not its inverse) and that its up axis is right"
-        )
+        hint = joined(problems) or _way_out(source, settings.segment)
         raise InputError(f"{settings.recording}: no person was found in any of {len(poses)} frames: {hint}")
     write_trc(settings.out / "pose.trc", poses, source.up)
     held = []
@@ -243,6 +241,16 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
             write_run_report(settings.out, summary, pictures, np.stack(truths), np.stack([p.joints for p in poses]))
     _tell(summary, settings.out, console)
     return summary
+
+
+def _way_out(source: FrameSource, segment: Literal["auto", "none"]) -> str:
+    """What may help where nobody is found and nothing else is wrong."""
+    ways = ["see that the cameras stand where the rig says (world_from_camera is no inverse) and that its up is right"]
+    if segment == "auto" and isinstance(source, Recording):
+        unknown = [name for name in source.rig.names if source.background(name) is None]
+        ways += [f"give the empty scene of {cameras(unknown)} (background.png)"] if unknown else []
+        ways += ["try --segment none if there is no room around the person"]
+    return ", or ".join(ways)
 
 
 def _few(problems: list[str], most: int = 4) -> list[str]:

@@ -138,5 +138,5 @@ def _overview(summary: dict[str, Any]) -> ReportSection:
         f"Recording: `{summary['recording']}`. Machine: {summary['machine']}. depthmocap {summary['version']}.",
     ]
     if summary["problems"]:
-        facts.append("Noticed: " + " ".join(summary["problems"]))
+        facts.append("Noticed:\n" + "\n".join(summary["problems"]))
     return ReportSection("Overview", tuple(facts), tables=(stages, cameras))

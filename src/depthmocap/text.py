@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Iterable, Sequence
 
 #: Joiners within words of some scripts, which are not printed and do nothing else.
 _JOINERS = "\u200c\u200d"
@@ -40,3 +41,16 @@ def shortened(text: str, most: int) -> str:
 def _middle_cut(text: str, most: int) -> str:
     tail = (most - 1) // 2
     return f"{text[: most - 1 - tail]}…{text[len(text) - tail :]}"
+
+
+def cameras(names: Sequence[str]) -> str:
+    """``camera 'a'``, or ``cameras 'a', 'b' and 'c'``."""
+    *first, last = map(repr, names)
+    return f"cameras {', '.join(first)} and {last}" if first else f"camera {last}"
+
+
+def joined(lines: Iterable[str], most: int = 2) -> str:
+    """The first of many lines, each once, as one sentence, and how many more there are."""
+    told = list(dict.fromkeys(line.rstrip(".") for line in lines))
+    more = [f"and {len(told) - most} more"] if len(told) > most else []
+    return "; ".join([*told[:most], *more])

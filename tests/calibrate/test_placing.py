@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from walker import errors, stand, track
 
-from depthmocap.calibrate.placing import place
+from depthmocap.calibrate.pairs import Pair
+from depthmocap.calibrate.placing import lacking, place, related
 from depthmocap.calibrate.tracks import Track
 from depthmocap.calibrate.upright import stand_up
 from depthmocap.frames import View
@@ -82,3 +83,13 @@ def test_up_and_floor_by_the_feet_where_no_floor_is_seen(tilt):
     assert abs(first[0, 2]) < 1e-9  # looks along +Y
     assert first[1, 2] > 0
     assert rigid_inverse(first)[2, 3] > 2  # and stands before the person's place, which is the origin
+
+
+@pytest.mark.parametrize(
+    ("agreed", "shared", "told"),
+    [(5, 10, "only 5 poses agree, where 12 or more"), (34, 200, "only 34 of 200 poses agree, where 30% or more")],
+)
+def test_what_a_pair_lacks_is_what_failed(agreed, shared, told):
+    pair = Pair(np.eye(4), shared, agreed, 0.03)
+    assert not related(pair)
+    assert lacking(pair) == f"{told} are needed"

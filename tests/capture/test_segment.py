@@ -133,6 +133,23 @@ def test_a_still_scene_is_reported(rng: np.random.Generator, people: list[tuple[
     assert not segment(frames.views[0]).any()
 
 
+def test_three_still_cameras_are_reported_in_one_line(rng: np.random.Generator) -> None:
+    views = [View(make_camera(name), render(make_camera(name), [])[0]) for name in "abc"]
+    sets = [FrameSet(i, tuple(views)) for i in range(3)]
+
+    class Source:
+        rig, up = Rig(tuple(view.camera for view in views)), "z"
+
+        def __len__(self) -> int:
+            return len(sets)
+
+        def __iter__(self):
+            return iter(sets)
+
+    (problem,) = PersonSegmenter.from_recording(Source()).problems
+    assert problem.startswith("cameras 'a', 'b' and 'c': a whole person is found in at most 0% of the sampled frames")
+
+
 def test_true_masks_and_mode_none(walk: tuple[Frames, list[np.ndarray]]) -> None:
     view = walk[0].views[0]
     masked = View(view.camera, view.depth_m, mask=walk[1][0])

@@ -233,6 +233,9 @@ def test_the_rig_places_a_camera_and_the_device_scales_it() -> None:
     assert unsourced(rig, ["other"]) == [
         "the rig has a camera 'cam0', but no source of that name was given; going on without it"
     ]
+    assert unsourced(Rig((rig["cam0"], DepthCamera("b", 8, 6, 9.0, 9.0, 4.0, 3.0))), []) == [
+        "the rig has cameras 'cam0' and 'b', but no sources of those names were given; going on without them"
+    ]
 
 
 def test_specs(recording: Recording, tmp_path: Path) -> None:

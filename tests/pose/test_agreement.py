@@ -92,6 +92,14 @@ def test_a_camera_that_sees_nobody_is_named() -> None:
     assert told(3, lambda rng, name, i: np.full((18, 4), np.nan) if name == "c" and i % 10 else guess(rng)) == []
 
 
+def test_the_same_of_several_cameras_is_told_in_one_line() -> None:
+    def nobody(rng: np.random.Generator, name: str, i: int) -> np.ndarray:
+        return guess(rng) if name in "ab" or i == 20 else np.full((18, 4), np.nan)
+
+    (problem,) = told(4, nobody)
+    assert problem.startswith("cameras 'c' and 'd' see next to nothing")
+
+
 def test_what_is_told_is_of_the_last_sets() -> None:
     """A camera that is bumped while it runs."""
     rng, agreement = np.random.default_rng(0), Agreement()

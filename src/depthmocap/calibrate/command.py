@@ -17,7 +17,7 @@ from rich.table import Table
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.calibrate.observe import Observation, observe, thinned
 from depthmocap.calibrate.page import draw_clouds, pair_table, write_page
-from depthmocap.calibrate.placing import LEAST_AGREED, Placement, mean_joints, place
+from depthmocap.calibrate.placing import Placement, lacking, mean_joints, place
 from depthmocap.calibrate.refine import refine
 from depthmocap.calibrate.upright import Upright, stand_up
 from depthmocap.calibrate.verdict import PairVerdict, judge_pairs, warnings_of
@@ -32,6 +32,7 @@ from depthmocap.geometry import Rig, save_rig, transform_points, z_up_from
 from depthmocap.output import check_outputs, write_json
 from depthmocap.owning import owns
 from depthmocap.settings import check_seed
+from depthmocap.text import cameras, joined
 
 _GRADES = ("good", "fair", "poor")
 _FLOORS = {
@@ -136,7 +137,7 @@ def _solve(recording: Recording, seen: list[Observation], problems: list[str], r
     names = recording.rig.names
     lookers = [each for each in seen if len(each.track.times_s) > 1]
     if not lookers:
-        hint = " ".join(problems) or "one person must walk about in view; try --segment none where there is no room"
+        hint = joined(problems) or "one person must walk about in view; try --segment none where there is no room"
         raise InputError(
             f"{recording.path}: no person was found in any of {sum(s.frames for s in seen)} frames: {hint}"
         )
@@ -171,10 +172,11 @@ def _rig(seen: list[Observation], poses: Float[ndarray, "k 4 4"], upright: Uprig
 
 def _nothing_shared(names: tuple[str, ...], seen: list[Observation], placement: Placement) -> str:
     counts = ", ".join(f"{name} in {len(each.track.times_s)}" for name, each in zip(names, seen, strict=True))
-    most = max((pair.agreed for pair in placement.pairs.values()), default=0)
+    best = max(placement.pairs.items(), key=lambda item: item[1].agreed, default=None)
+    found = f"; of {cameras([names[each] for each in best[0]])} {lacking(best[1])}" if best else ""
     return (
-        f"no two cameras see the same person often enough: somebody is found by {counts} frames, and at most {most} "
-        f"poses agree where {LEAST_AGREED} are needed; walk where two cameras see the whole body, for 20 s or more"
+        f"no two cameras see the same person often enough: somebody is found by {counts} frames{found}; walk where two "
+        "cameras see the whole body, for 20 s or more, with nobody else in view"
     )
 
 
@@ -184,11 +186,12 @@ def _why(index: int, names: tuple[str, ...], seen: list[Observation], placement:
         return "it has no frames"
     if len(seen[index].track.times_s) < 2:
         return f"it never sees a person in {seen[index].frames} frames"
-    shared = {names[pair[pair[0] == index]]: found.agreed for pair, found in placement.pairs.items() if index in pair}
-    best = max(shared, key=shared.__getitem__, default="")
+    shared = {pair[pair[0] == index]: found for pair, found in placement.pairs.items() if index in pair}
+    own = {names[other]: found for other, found in shared.items() if other in placement.cameras}
+    best = max(own, key=lambda other: own[other].agreed, default="")
     if not best:
-        return "it never sees the person at the same time as another camera"
-    return f"only {shared[best]} of its poses agree with those of {best!r}, {LEAST_AGREED} or more are needed"
+        return "it never sees the person at the same time as one that is"
+    return f"with {best!r} {lacking(own[best])}"
 
 
 @owns(files=("out", "page", "json"))

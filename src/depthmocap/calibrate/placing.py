@@ -75,6 +75,13 @@ def related(pair: Pair) -> bool:
     return pair.agreed >= LEAST_AGREED and pair.agreed >= LEAST_SHARE * pair.shared
 
 
+def lacking(pair: Pair) -> str:
+    """What a pair lacks to be built on."""
+    if pair.agreed < LEAST_AGREED:
+        return f"only {pair.agreed} poses agree, where {LEAST_AGREED} or more are needed"
+    return f"only {pair.agreed} of {pair.shared} poses agree, where {LEAST_SHARE:.0%} or more are needed"
+
+
 def _chain(pairs: dict[tuple[int, int], Pair], count: int) -> tuple[tuple[int, ...], Float[ndarray, "k 4 4"]]:
     """The largest group of related cameras, and their poses along the pairs that agree most often."""
     links = np.zeros((count, count))

@@ -17,6 +17,7 @@ from depthmocap.calibrate.pairs import AGREES_M, LEAST_JOINTS, align, usable
 from depthmocap.calibrate.placing import Placement, mean_joints
 from depthmocap.calibrate.refine import Refined
 from depthmocap.geometry import transform_points
+from depthmocap.text import cameras
 
 Grade = Literal["good", "fair", "poor"]
 #: Bounds of grades on the uncertainty of a pair: where it puts the person (metres), and its turn (degrees).
@@ -101,15 +102,17 @@ def judge_pairs(names: Sequence[str], placement: Placement, refined: Refined) ->
 def warnings_of(names: Sequence[str], placement: Placement, pairs: Sequence[PairVerdict]) -> list[str]:
     """What makes a calibration worse than it could be, one line each, with the way out."""
     found = []
-    for name in names:
-        best = max((pair for pair in pairs if name in pair.cameras), key=lambda pair: pair.agreed_poses)
+    best_of = {name: max((p for p in pairs if name in p.cameras), key=lambda pair: pair.agreed_poses) for name in names}
+    few = [name for name, best in best_of.items() if best.agreed_poses < FEW_POSES]
+    if few:
+        most = max(best_of[name].agreed_poses for name in few)
+        found.append(
+            f"{cameras(few)} {'share' if len(few) > 1 else 'shares'} at most {most} poses with any other: walk for "
+            "longer where two see the whole body"
+        )
+    for name, best in best_of.items():
         other = best.cameras[best.cameras[0] == name]
-        if best.agreed_poses < FEW_POSES:
-            found.append(
-                f"camera {name!r} shares only {best.agreed_poses} poses with any other ({other!r}): walk for longer "
-                "where both see the whole body"
-            )
-        elif best.agreed_poses < FEW_AGREED * best.shared_poses:
+        if name not in few and best.agreed_poses < FEW_AGREED * best.shared_poses:
             found.append(
                 f"camera {name!r} agrees with {other!r} in only {best.agreed_poses} of {best.shared_poses} poses: let "
                 "one person only be in view, and see that the camera did not move"

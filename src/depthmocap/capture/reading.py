@@ -16,6 +16,7 @@ from typing import Any, Protocol, runtime_checkable
 from depthmocap.capture.source import DepthFrame, DepthSource, MisfitError, NoFrame, place, unsourced
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
+from depthmocap.text import joined
 
 #: How long a reading thread waits for a frame before it looks whether it shall stop.
 LOOK_S = 0.2
@@ -187,7 +188,10 @@ class Readers:
                         tell(f"still opening: {names}")
         if readers and not self.cameras:
             self.stop()
-            why = "; ".join(f"{name}: {known.state}" for name, known in self._known.items())
+            by_state: dict[str, list[str]] = {}
+            for name, known in self._known.items():
+                by_state.setdefault(known.state, []).append(name)
+            why = joined((f"{', '.join(names)}: {state}" for state, names in by_state.items()), 3)
             raise InputError(f"no camera could be opened ({why})")
 
     def go(self) -> None:

@@ -27,6 +27,7 @@ from depthmocap.console import Terminal
 from depthmocap.ending import finishing
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, load_rig
+from depthmocap.text import joined
 
 
 @dataclasses.dataclass(frozen=True)
@@ -192,7 +193,7 @@ def _why_none(states: Mapping[str, str], counts: Mapping[str, _Count]) -> str:
     """What is known of cameras that gave no frame for the file."""
     told = [state for state in states.values() if state not in (RUNNING, SILENT, OPENING, ENDED)]
     told += [f"{count.lost} of {name!r} did not fit and were left out" for name, count in counts.items() if count.lost]
-    return "; ".join(told) or "are the cameras running?"
+    return joined(told, 3) or "are the cameras running?"
 
 
 def _table(known: Mapping[str, SourceState], counts: Mapping[str, _Count], seconds: float) -> Table:

@@ -19,6 +19,7 @@ from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, FrameSource, View
 from depthmocap.geometry import DepthCamera
 from depthmocap.people.background import FAR_M, estimate_background, limit_m
+from depthmocap.text import cameras
 
 Mode = Literal["auto", "none"]
 
@@ -49,13 +50,13 @@ class PersonSegmenter:
 
     Attributes:
         backgrounds_m: the empty scenes, given or estimated, by camera.
-        problems: what makes good masks unlikely, one line each, with the way out.
     """
 
     def __init__(self, backgrounds_m: Mapping[str, Float[ndarray, "_ _"]], mode: Mode = "auto") -> None:
         """Segment against the given empty scenes: depth in metres by camera name, 0 = not known."""
         self.mode: Mode = mode
-        self.problems: list[str] = []
+        #: Cameras that rarely show a whole person, and in which share of the sampled frames.
+        self._rarely: dict[str, float] = {}
         self.backgrounds_m: dict[str, ndarray] = dict(backgrounds_m)
         self._limits = {name: limit_m(background_m) for name, background_m in backgrounds_m.items()}
 
@@ -123,11 +124,19 @@ class PersonSegmenter:
         areas = np.array([(view.depth_m[self(view)] ** 2).sum() / pixel for view in views])
         whole = np.count_nonzero(areas > WHOLE_PERSON_M2)
         if 2 * whole < len(views):
-            self.problems.append(
-                f"camera {name!r}: a whole person is found in only {whole} of {len(views)} sampled frames. If they "
-                "were in view more often, they or parts of them hardly moved: record the empty scene as background.png "
-                "in the camera's folder, or pass --segment none"
-            )
+            self._rarely[name] = whole / len(views)
+
+    @property
+    def problems(self) -> list[str]:
+        """What makes good masks unlikely, one line each, with the way out."""
+        if not self._rarely:
+            return []
+        who, most = cameras(list(self._rarely)), max(self._rarely.values())
+        return [
+            f"{who}: a whole person is found in at most {most:.0%} of the sampled frames; if they were there more "
+            "often, they hardly moved: give the empty scene (background.png in a recording folder), or pass --segment "
+            "none"
+        ]
 
 
 def _camera_names(source: FrameSource) -> tuple[str, ...]:

@@ -29,6 +29,7 @@ from depthmocap.capture.hang import HangsError, within
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.names import check_camera_name
+from depthmocap.text import cameras
 
 #: How long the reading thread waits for a frame before it looks whether it shall stop.
 _POLL_S = 0.5
@@ -269,11 +270,12 @@ class _Pump:
 
 
 def unsourced(rig: Rig, names: Collection[str]) -> list[str]:
-    """A line for each camera of the rig that is not among the sources of these names."""
+    """A line about the cameras of the rig that are not among the sources of these names, if there are any."""
+    missing = [name for name in rig.names if name not in names]
+    if len(missing) > 1:
+        return [f"the rig has {cameras(missing)}, but no sources of those names were given; going on without them"]
     return [
-        f"the rig has a camera {name!r}, but no source of that name was given; going on without it"
-        for name in rig.names
-        if name not in names
+        f"the rig has a camera {name!r}, but no source of that name was given; going on without it" for name in missing
     ]
 
 

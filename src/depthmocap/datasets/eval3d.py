@@ -25,6 +25,7 @@ from depthmocap.datasets.annotated import AnnotatedFrame, near_joints
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import DepthCamera
+from depthmocap.text import joined
 
 #: How the person is told from the room: by what stands still in the sequence, by a box around the true joints, or not.
 Mask = Literal["background", "box", "all"]
@@ -85,7 +86,7 @@ class Eval:
             raise InputError(f"{root} holds no seq_*.bin: expected EVAL's sequences, such as seq_a_0.bin")
         self._sequences = [sequence for path in paths if (sequence := self._open(path)) is not None]
         if not self._sequences:
-            raise InputError(f"{root}: no sequence can be read: {' '.join(list(self._problems)[:2])}")
+            raise InputError(f"{root}: no sequence can be read: {joined(self._problems)}")
         ids = sorted({number for sequence in self._sequences for number in sequence.ids})
         table = dict(names) if names is not None else {number: f"joint {number}" for number in ids}
         self._ids = [number for number in table if number in ids]
@@ -110,7 +111,7 @@ class Eval:
             if self._mask == "background":
                 segment = PersonSegmenter.from_recording(sequence)
                 for problem in segment.problems:
-                    self._problems[f"{sequence.path}: {problem.split('. If')[0]}; try --mask box"] = None
+                    self._problems[f"{sequence.path}: {problem.partition(';')[0]}; try --mask box"] = None
             for row in range(len(sequence)):
                 joints = sequence.joints(row, self._ids)
                 if not sequence.whole(row):

@@ -23,6 +23,7 @@ from depthmocap.geometry import z_up_from
 from depthmocap.pose.cloud import MIN_CLOUD_POINTS, label_people, merge_views
 from depthmocap.pose.estimate import JointEstimator
 from depthmocap.pose.parts import AREA, CENTRE, PROBABILITY, BodyFrame, body_frame, part_statistics
+from depthmocap.text import joined
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -124,7 +125,7 @@ def observe(
             actions.append(frame.action)
     problems = tuple(source.problems)
     if not rows:
-        reasons = " ".join(problems[:3]) or "check that the folder is that of the set"
+        reasons = joined(problems) or "check that the folder is that of the set"
         raise InputError(f"{source.name}: no frame has a view and known joints ({left_out} had not): {reasons}")
     arrays = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
     frame = BodyFrame(arrays.pop("origin"), arrays.pop("turn"))

@@ -19,6 +19,7 @@ from depthmocap.offline import load_pipeline, open_source
 from depthmocap.owning import owns
 from depthmocap.pose.track import Bones, Smoothing
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, reliability
+from depthmocap.text import joined
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,7 +73,7 @@ def evaluate_recording(settings: RecordingEvaluation, console: Console | None = 
     if not truths:
         raise InputError(
             f"{settings.recording}: no frame has a true joint: truth.csv must hold the columns of pose.csv, at the "
-            f"frames' times. {' '.join(problems[:2])}".rstrip()
+            f"frames' times; {joined(problems)}".rstrip("; ")
         )
     true = np.stack(list(truths.values())).astype(np.float64)
     found = np.stack([poses[time_ns].joints for time_ns in truths]).astype(np.float64)

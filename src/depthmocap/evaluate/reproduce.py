@@ -20,6 +20,7 @@ from depthmocap.output import write_json
 from depthmocap.owning import owns
 from depthmocap.report.page import ReportSection, write_report
 from depthmocap.settings import plain_settings
+from depthmocap.text import joined
 
 Part = Callable[[Console], tuple[list[ReportSection], dict[str, Any]]]
 
@@ -87,7 +88,7 @@ def reproduce(settings: Reproduction, console: Console | None = None) -> dict[st
             notes.append(f"{name} is left out: {error}")
             console.print(notes[-1])
     if not sections:
-        raise InputError(" ".join(notes))
+        raise InputError(joined(notes, len(notes)))
     network = settings.net3 or "the packaged one"
     notes.append(f"Network: {network}; joints: {settings.estimator}. Frames are independent, nothing is smoothed.")
     write_report(

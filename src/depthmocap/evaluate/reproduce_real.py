@@ -26,6 +26,7 @@ from depthmocap.pose.cloud import LabelledCloud, label_people, merge_views
 from depthmocap.pose.estimate import load_estimator
 from depthmocap.report.page import ReportFigure, ReportSection, ReportTable
 from depthmocap.report.pictures import cloud_picture, labelled_depth_strip
+from depthmocap.text import joined
 
 #: Table III: error (cm), its deviation, share within 10 cm (%), by subjects and by actions.
 PAPER_MICHEL = {
@@ -157,7 +158,7 @@ def reproduce_eval(part: RealPart, console: Console) -> tuple[list[ReportSection
         if len(figures) == part.pictures:
             break
     if not figures:
-        raise InputError(f"{part.root}: no frame can be shown: {' '.join(source.problems[:2])}")
+        raise InputError(f"{part.root}: no frame can be shown: {joined(source.problems)}")
     console.print(f"EVAL: {len(figures)} sequences shown")
     words = "The paper shows labels only, and gives no numbers; `evaluate eval` measures joints."
     return [ReportSection("EVAL", (words,), figures=tuple(figures.values()))], {"sequences": len(figures)}

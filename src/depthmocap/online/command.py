@@ -31,6 +31,7 @@ from depthmocap.online.status import CameraStatus
 from depthmocap.owning import owns
 from depthmocap.pose.track import Bones, Smoothing
 from depthmocap.settings import check_above_0, check_at_least
+from depthmocap.text import joined
 
 #: The dashboard is drawn so often.
 DRAW_S = 0.25
@@ -110,7 +111,7 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str
             capture.stop_after(settings.seconds)
         summary = _follow(capture, files, everybody, settings.seconds, console)
     if not capture.books.poses:
-        known = "; ".join(capture.problems)
+        known = joined(capture.problems, 3)
         if capture.before_ready:
             raise InputError(
                 f"no set of frames came once it was ready for poses, and {capture.before_ready} before; on a new "

@@ -11,6 +11,7 @@ from numpy import ndarray
 
 from depthmocap.body.skeleton import SIDED
 from depthmocap.pose.cloud import LabelledCloud
+from depthmocap.text import cameras
 
 #: Joints of the middle do not move where a view takes left for right.
 _MIDDLE = ~SIDED
@@ -62,7 +63,8 @@ class Agreement:
         """What is wrong with the cameras by the sets since it was last told."""
         if not self._sets:
             return []
-        found = []
+        found: list[str] = []
+        alone: list[str] = []
         enough = {names: values for names, values in self._apart.items() if len(values) >= FEWEST_SETS}
         # Of two cameras nobody can tell which one is wrong, and three that are together for long can.
         if any(len(names) == 1 for names in enough):
@@ -71,11 +73,15 @@ class Agreement:
             median_m = float(np.median(values))
             for name in names:
                 self._medians[name].append(median_m)
-            if median_m > APART_M:
+            if median_m > APART_M and len(names) == 2:
                 found.append(_apart(names))
-        for name, count in self._delivered.items():
-            if count >= FEWEST_SETS and self._saw[name] < SELDOM * count:
-                found.append(_seldom(name))
+            elif median_m > APART_M:
+                alone += names
+        found += [_off(alone)] if alone else []
+        seldom = [
+            name for name, count in self._delivered.items() if count >= FEWEST_SETS and self._saw[name] < SELDOM * count
+        ]
+        found += [_seldom(seldom)] if seldom else []
         self._apart.clear()
         self._sets = 0
         # Of what was seen long ago ever less counts, or a camera that turns away would be told of after as long a time.
@@ -101,22 +107,27 @@ def _from_the_middle(places: Float[ndarray, "views joints 3"]) -> Float[ndarray,
 _CALIBRATE = "calibrate: depthmocap calibrate RECORDING --out rig.json"
 
 
+_LIMIT = f"more than {100 * APART_M:.0f} cm"
+
+
 def _apart(names: tuple[str, ...]) -> str:
-    limit = f"more than {100 * APART_M:.0f} cm"
-    if len(names) == 2:
-        first, second = names
-        return (
-            f"cameras {first!r} and {second!r} see the person {limit} apart: they stand elsewhere than the rig says, "
-            f"or their times do not fit; {_CALIBRATE}"
-        )
     return (
-        f"camera {names[0]!r} sees the person {limit} from where the others do: it stands elsewhere than the rig says, "
-        f"or its time is off; {_CALIBRATE}"
+        f"{cameras(names)} see the person {_LIMIT} apart: they stand elsewhere than the rig says, or their times do "
+        f"not fit; {_CALIBRATE}"
     )
 
 
-def _seldom(name: str) -> str:
-    return (
-        f"camera {name!r} sees next to nothing of the person whom others see: if it looks at them, it stands elsewhere "
-        f"than the rig says; {_CALIBRATE}"
-    )
+def _off(names: list[str]) -> str:
+    what = f"the person {_LIMIT} from where the others do"
+    if len(names) > 1:
+        why = "they stand elsewhere than the rig says, or their times are off"
+        return f"{cameras(names)} each see {what}: {why}; {_CALIBRATE}"
+    return f"{cameras(names)} sees {what}: it stands elsewhere than the rig says, or its time is off; {_CALIBRATE}"
+
+
+def _seldom(names: list[str]) -> str:
+    what = "next to nothing of the person whom others see"
+    if len(names) > 1:
+        why = "if they look at them, they stand elsewhere than the rig says"
+        return f"{cameras(names)} see {what}: {why}; {_CALIBRATE}"
+    return f"{cameras(names)} sees {what}: if it looks at them, it stands elsewhere than the rig says; {_CALIBRATE}"
