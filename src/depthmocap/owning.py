@@ -50,7 +50,8 @@ def owns(
             with contextlib.ExitStack() as stack:
                 if folder is not None and named(folder) is not None:
                     stack.enter_context(own_folder(named(folder)))
-                for path in filter(None, map(named, files)):
+                # Two options may name one file by mistake, which the command tells of.
+                for path in {path.resolve(): path for path in map(named, files) if path is not None}.values():
                     stack.enter_context(own_file(path))
                 return function(settings, *more, **others)
 
