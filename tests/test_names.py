@@ -58,7 +58,7 @@ def test_rig_json_with_such_a_name_is_refused_and_one_with_an_odd_name_is_read(t
     for name in HOSTILE:
         document["cameras"][0]["name"] = name
         path.write_text(json.dumps(document), encoding="utf-8")
-        with pytest.raises(InputError, match=r"rig.json: .* cannot be a camera's name"):
+        with pytest.raises(InputError, match=r"rig.json.* (camera's name|half of a surrogate pair)"):
             load_rig(path)
 
 
