@@ -10,7 +10,7 @@ import re
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from depthmocap.errors import InputError
 
@@ -60,6 +60,35 @@ def write_file(path: Path, data: bytes | memoryview | str) -> None:
     """
     with replacing(path) as unfinished:
         unfinished.write_bytes(data.encode(errors="backslashreplace") if isinstance(data, str) else data)
+
+
+def open_new(path: Path) -> BinaryIO:
+    """Open a file that is written as it grows, and is of use before it is whole. It takes the place of a file of its
+    name; of a link only the link, so that nothing elsewhere is written over.
+
+    Raises:
+        InputError: when something else is in its place.
+        OSError: when it cannot be made.
+    """
+    while True:
+        try:
+            return path.open("xb")
+        except FileExistsError:
+            if path.exists() and not path.is_file():
+                raise InputError(f"cannot write {path}: it is no file") from None
+            path.unlink(missing_ok=True)
+
+
+def make_inner_folder(folder: Path) -> None:
+    """Make a folder in one of results, if it is not there.
+
+    Raises:
+        InputError: when it cannot be made, or is a link to a folder elsewhere.
+    """
+    if folder.is_symlink():
+        raise InputError(f"{folder} is a link, by which files elsewhere would be written over: remove it")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
 
 
 def remove_unfinished(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import errno
+import io
 import itertools
 
 import numpy as np
@@ -243,13 +244,13 @@ def test_a_full_disk_leaves_the_last_truth(tmp_path, monkeypatch):
     writer = SectionWriter(tmp_path, "easy-pose", "train", 1)
     writer.write(make_views(rng), np.zeros((18, 3)))
 
-    def full(self, data):
-        with self.open("wb") as file:
-            file.write(data[:100])
-        raise OSError(errno.ENOSPC, "No space left on device", str(self))
+    class Full(io.FileIO):
+        def write(self, data):
+            super().write(data[:100])
+            raise OSError(errno.ENOSPC, "No space left on device", self.name)
 
     with monkeypatch.context() as patch:
-        patch.setattr("pathlib.Path.write_bytes", full)
+        patch.setattr("depthmocap.datasets.ubc3v_write.open_new", lambda path: Full(path, "xb"))
         with pytest.raises(OSError, match="No space"):
             writer.close()
     assert (path / "groundtruth.mat").read_bytes() == before

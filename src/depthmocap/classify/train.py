@@ -27,6 +27,7 @@ from depthmocap.classify.networks import AccurateNet, FastNet, Network, PaperNet
 from depthmocap.classify.preprocess import NetworkName
 from depthmocap.classify.quantise import quantise
 from depthmocap.classify.windows import Batches, Ingredient, WindowSource, sorted_batches, training_batches
+from depthmocap.console import Terminal
 from depthmocap.ending import finishing, leave_ending_to_parent
 from depthmocap.errors import InputError
 from depthmocap.output import write_file
@@ -258,7 +259,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     running: list[float] = []
     hits: list[float] = []
     saved = time.monotonic()
-    with Progress(*columns) as progress, _at_interruption(save):
+    with Progress(*columns, console=Terminal()) as progress, _at_interruption(save):
         task = progress.add_task("training", total=1.0)
         progress.update(task, completed=_share(settings, done, spent))
         clock = time.monotonic()

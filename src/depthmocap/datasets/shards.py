@@ -33,6 +33,7 @@ from depthmocap.datasets.png import grey_png
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.output import open_new
 
 SAMPLES_PER_SHARD = 250
 _CAMERA_NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
@@ -79,7 +80,7 @@ class ShardWriter:
         self._unfinished = self.path.with_name(f"{self.path.name}.part-{os.getpid()}")
 
     def __enter__(self) -> ShardWriter:
-        self._file = self._unfinished.open("wb")
+        self._file = open_new(self._unfinished)
         self._tar = tarfile.open(fileobj=self._file, mode="w", format=tarfile.USTAR_FORMAT)
         return self
 

@@ -36,6 +36,7 @@ from depthmocap.datasets.ubc3v import (
 from depthmocap.frames import View
 from depthmocap.geometry.transforms import z_up_from
 from depthmocap.kernels.levels import depth_levels
+from depthmocap.output import open_new
 
 #: Maya joints that hold no target joint, and the joint they get: the nearest to where their parent's frame sits.
 _FILLED = {
@@ -203,7 +204,8 @@ class SectionWriter:
         file.write(_HEADER)
         unfinished = self._truth_path.with_suffix(".mat.part")
         try:
-            unfinished.write_bytes(file.getbuffer())
+            with open_new(unfinished) as written:
+                written.write(file.getbuffer())
             unfinished.replace(self._truth_path)
         except OSError:
             unfinished.unlink(missing_ok=True)  # a full disk
@@ -229,10 +231,12 @@ def _labels_png(labels: UInt8[ndarray, "h w"], mask: Bool[ndarray, "h w"]) -> by
 
 def _write(path: Path, data: bytes) -> None:
     try:
-        path.write_bytes(data)
+        file = open_new(path)
     except FileNotFoundError:  # the first of a section
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
+        file = open_new(path)
+    with file:
+        file.write(data)
 
 
 def _check_intrinsics(view: View) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
@@ -15,7 +16,7 @@ from numpy import ndarray
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
 from depthmocap.frames import Pose
-from depthmocap.output import writing
+from depthmocap.output import open_new, writing
 
 TIME = "time_s"
 _POSITION_COLUMNS = [f"{joint}_{axis}" for joint in JOINTS for axis in "xyz"]
@@ -39,7 +40,7 @@ class CsvWriter:
 
     def __enter__(self) -> CsvWriter:
         with writing(self._path):
-            self._file = self._path.open("w", newline="", encoding="utf-8")
+            self._file = io.TextIOWrapper(open_new(self._path), encoding="utf-8", newline="")
         self._write_line(",".join(HEADER))
         return self
 

@@ -15,7 +15,7 @@ from depthmocap.export.bvh import write_bvh
 from depthmocap.export.csv import CsvWriter, read_csv
 from depthmocap.export.trc import write_trc
 from depthmocap.frames import Pose
-from depthmocap.output import write_json
+from depthmocap.output import make_inner_folder, write_json
 
 #: Files of somebody who was not seen for longer than this are closed (s): people have their numbers back for a minute.
 CLOSED_AFTER_S = 65.0
@@ -106,7 +106,9 @@ class PeopleFiles:
             self.poses[number] = self.poses.get(number, 0) + 1
             self._last_ns[number] = pose.timestamp_ns
             if number not in self._files:
-                self._files[number] = PoseFiles(self._folder / f"person-{number}", self._up).__enter__()
+                folder = self._folder / f"person-{number}"
+                make_inner_folder(folder)
+                self._files[number] = PoseFiles(folder, self._up).__enter__()
             if self.poses[number] > delay_frames:
                 self._files[number].write(pose)
         newest_ns = max(self._last_ns.values(), default=0)
