@@ -238,6 +238,12 @@ def test_the_rig_places_a_camera_and_the_device_scales_it() -> None:
     ]
 
 
+def test_a_spec_that_is_nothing_is_told_so_wherever_the_command_runs(recording: Recording, monkeypatch) -> None:
+    monkeypatch.chdir(recording.path)
+    with pytest.raises(InputError, match="nosuch is neither a recording nor a camera"):
+        make_sources(["nosuch"])
+
+
 def test_specs(recording: Recording, tmp_path: Path) -> None:
     path = str(recording.path)
     assert [source.name for source in make_sources([path])] == ["cam0", "cam1"]

@@ -115,7 +115,8 @@ def make_sources(
 def _recorded(spec: str, pace: Pace) -> list[DepthSource]:
     path = Path(spec) if Path(spec).exists() else Path(spec.rpartition("#")[0] or spec)
     if not path.exists():
-        if Path(recording := spec.rpartition("?")[0]).is_file() or Path(recording, "rig.json").exists():
+        recording = spec.rpartition("?")[0]
+        if recording and (Path(recording).is_file() or Path(recording, "rig.json").exists()):
             raise InputError(f"{spec}: a recording has no other modes than it was made in: give {recording} alone")
         raise InputError(
             f"{spec} is neither a recording nor a camera: cameras are {', '.join(BACK_ENDS)}, with :SERIAL where "

@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from depthmocap.online.status import Books, CameraStatus
+from depthmocap.text import harmless
 
 
 def _number(value: float, digits: int = 1) -> str:
@@ -31,7 +32,7 @@ def draw_dashboard(
         table.add_row(
             camera.name, _number(camera.rate_hz), str(counts["frames"]), str(camera.lost), str(counts["late"]),
             str(other), _number(camera.drift_ppm), str(camera.clock_restarts),
-            Text(camera.state, "green" if camera.state == "running" else "red"),
+            Text(harmless(camera.state), "green" if camera.state == "running" else "red"),
         )  # fmt: skip
     stages = Table()
     stages.add_column("ms")
@@ -43,4 +44,4 @@ def draw_dashboard(
     stages.add_row("p95", *(_number(p95) for _, p95 in recent))
     here = ", ".join(map(str, books.present)) or "nobody"
     people = Text(f"in view: {here}; so far {len(books.people)} {'person' if len(books.people) == 1 else 'people'}")
-    return Group(table, stages, people, *(Text(f"• {problem}", "yellow") for problem in list(problems)[-4:]))
+    return Group(table, stages, people, *(Text(harmless(f"• {problem}"), "yellow") for problem in list(problems)[-4:]))
