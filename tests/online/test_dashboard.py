@@ -11,10 +11,9 @@ def test_what_sdks_say_is_one_harmless_line() -> None:
     counts = {"frames": 1, "missing": 0, "late": 0}
     said = "lost:\x1b[2J\n• forged [/x]"
     status = CameraStatus("[x]", said, 30.0, 0.0, 0, counts)
-    console = Terminal(file=io.StringIO(), width=200)
-    console.print(draw_dashboard([status], Books(), 0, 1.0, [said]))
-    assert isinstance(console.file, io.StringIO)
-    printed = console.file.getvalue()
+    out = io.StringIO()
+    Terminal(file=out, width=200).print(draw_dashboard([status], Books(), 0, 1.0, [said]))
+    printed = out.getvalue()
     assert printed.count(r"lost:\x1b[2J\n• forged [/x]") == 2
     assert "[x]" in printed
     assert "\x1b" not in printed
