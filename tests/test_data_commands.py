@@ -249,6 +249,13 @@ def test_a_run_that_is_interrupted_loses_no_step(root, tmp_path, monkeypatch):
     assert torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["done"] == 16
     train_classifier(settings)
     assert [json.loads(row)["step"] for row in (settings.out / "history.jsonl").read_text().splitlines()] == [32]
+    # Begun anew, it leaves nothing of the earlier run beside its own.
+    (settings.out / "checkpoint.pt").unlink()
+    with pytest.raises(InputError, match="--without is for our networks"):
+        train_classifier(dataclasses.replace(settings, network="paper", without=("mirror",)))
+    assert [path.name for path in settings.out.iterdir()] == ["settings.json"]
+    with pytest.raises(InputError, match="--start must not be a file that training writes"):
+        train_classifier(dataclasses.replace(settings, start=settings.out / "classifier.safetensors"))
 
 
 def test_votes_that_are_interrupted_are_kept(root, tmp_path, monkeypatch):

@@ -18,6 +18,7 @@ from depthmocap.capture.recording import RecordingWriter
 from depthmocap.classify.runtime import packaged_weights
 from depthmocap.cli import main
 from depthmocap.export import CsvWriter, read_bvh, read_csv, read_trc, write_trc
+from depthmocap.export.files import PICTURES, RESULTS
 from depthmocap.geometry import DepthCamera, Rig, load_rig, look_at, save_rig
 from depthmocap.offline import RESULTS, _way_out
 from depthmocap.synth.render import render_body
@@ -128,11 +129,19 @@ def test_nobody_in_any_frame_is_one_error(recording, tmp_path):
 
 
 def test_a_failed_run_leaves_no_results_of_an_earlier_one(recording, tmp_path):
-    run(RunSettings(recording, tmp_path / "out", segment="none"))
+    """Nor what an earlier one wrote of others, nor a report of other poses; what the user put there stays."""
+    out = tmp_path / "out"
+    run(RunSettings(recording, out, segment="none"))
+    for name in ("person-1", "person-3"):
+        shutil.copytree(out, out / name, ignore=shutil.ignore_patterns("person-*"))
+    kept = {out / "notes.txt", out / "person-3" / "notes.txt", out / "person-2" / "report.html", out / "person-x"}
+    for path in kept:
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
     with pytest.raises(InputError, match="no person"):
-        run(RunSettings(recording, tmp_path / "out", report=False))
-    left = {path.name for path in (tmp_path / "out").iterdir()}
-    assert left <= {"pose.csv"}
+        run(RunSettings(recording, out, report=False))
+    left = {path for path in out.rglob("*") if path.is_file()}
+    assert left <= {out / "pose.csv", *kept}
     assert np.isnan(read_csv(tmp_path / "out" / "pose.csv")[1]).all()
 
 
@@ -178,7 +187,7 @@ def test_signals_end_a_run_with_everything_written(recording, tmp_path, monkeypa
     assert main(["run", str(recording), "--out", str(out), "--segment", "none", "--smooth", "none"]) == 128 + number
     assert len(read_csv(out / "pose.csv")[0]) == len(read_trc(out / "pose.trc")[0]) == 2
     assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["interrupted"]
-    assert {path.name for path in out.iterdir()} == {*offline.RESULTS}
+    assert {path.name for path in out.iterdir()} == {*RESULTS, *PICTURES}
 
 
 @pytest.mark.parametrize("factor", [1e-6, 1e-8])

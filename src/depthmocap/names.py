@@ -18,7 +18,7 @@ _FORBIDDEN = '/\\:*?"<>|'
 #: Names of devices on Windows, with any ending, in any case.
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in range(1, 10))}
 #: What recordings use themselves: files of the folder, and the frame that MCAP's transforms lead to.
-_OURS = {"rig.json", "truth.csv", "world"}
+_OURS = {"rig.json", "truth.csv", "unfinished.json", "world"}
 
 
 def _is_reserved(name: str) -> bool:

@@ -25,7 +25,7 @@ from depthmocap.console import Terminal
 from depthmocap.ending import finishing
 from depthmocap.errors import InputError
 from depthmocap.export import CsvWriter, write_bvh, write_trc
-from depthmocap.export.files import PeopleFiles
+from depthmocap.export.files import PeopleFiles, remove_results
 from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.geometry import check_placed, load_rig
 from depthmocap.offline_report import Pictures, write_run_report
@@ -38,9 +38,6 @@ from depthmocap.pose.estimate import load_estimator
 from depthmocap.pose.track import AUTO, Bones, Smoothing, load_filter
 from depthmocap.report.metrics import joint_metrics
 from depthmocap.text import cameras, joined
-
-#: What a run writes beside the folders of people.
-RESULTS = ("pose.csv", "pose.trc", "pose.bvh", "summary.json", "report.html", "preview.webp")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,8 +168,7 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
         TextColumn("capturing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
         TextColumn("{task.fields[rate]}"),
     )  # fmt: skip
-    for name in RESULTS:  # an earlier run's must not stand beside this one's, should it fail
-        (settings.out / name).unlink(missing_ok=True)
+    remove_results(settings.out)
     everybody = PeopleFiles(settings.out, source.up)
     with CsvWriter(settings.out / "pose.csv") as csv, everybody, Progress(*columns, console=console) as progress:
         task = progress.add_task("capturing", total=len(source), rate="")

@@ -99,8 +99,14 @@ def test_an_interruption_leaves_complete_files(recording, tmp_path, monkeypatch)
             return []
 
     use_pipelines(monkeypatch, lambda *arguments, **others: Interrupted())
+    for earlier in (tmp_path / "out", tmp_path / "out" / "person-4"):
+        earlier.mkdir()
+        (earlier / "pose.csv").write_text("time_s,Head_x\n")
+        (earlier / "report.html").touch()
     summary = run_live(LiveSettings((recording,), out=tmp_path / "out"))
     assert summary["interrupted"]
+    results = {"pose.csv", "pose.trc", "pose.bvh", "summary.json"}  # nothing of an earlier run
+    assert {path.name for path in (tmp_path / "out").iterdir()} == results
     for read, name in ((read_csv, "pose.csv"), (read_trc, "pose.trc"), (read_bvh, "pose.bvh")):
         assert len(read(tmp_path / "out" / name)[0]) == 10
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["interrupted"]

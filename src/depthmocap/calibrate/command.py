@@ -208,6 +208,9 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
         {"the recording": settings.recording, "the file of --weights": settings.weights},
     )
     found = find_rig(recording, settings, console)
+    for path in (settings.page, settings.json):  # of another rig
+        if path is not None:
+            path.unlink(missing_ok=True)
     save_rig(found.rig, settings.out)
     headline = _headline(found, len(recording.rig.cameras))
     notes = [

@@ -55,6 +55,10 @@ _FREE = (
 )  # fmt: skip
 
 
+#: What it writes besides the checkpoint and the settings.
+_WRITTEN = ("history.jsonl", "curves.png", "classifier.safetensors", "classifier.onnx", "classifier_int8.onnx")
+
+
 @dataclasses.dataclass(frozen=True)
 class ClassifierTraining:
     """Settings of one training run.
@@ -206,8 +210,11 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     """
     out = settings.out
     checkpoint = out / "checkpoint.pt"
-    if not checkpoint.exists():
-        (out / "settings.json").unlink(missing_ok=True)  # of a run that has not begun
+    if settings.start is not None and settings.start.resolve() in [(out / name).resolve() for name in _WRITTEN]:
+        raise InputError(f"--start must not be a file that training writes, got {settings.start}: choose another --out")
+    if not checkpoint.exists() and (out / "settings.json").exists():  # of a run that has not begun, or is to begin anew
+        for name in (*_WRITTEN, "settings.json"):
+            (out / name).unlink(missing_ok=True)
     claim_folder(out, settings, "a run", _FREE)
     torch.manual_seed(settings.seed)
     network = make_network(settings)

@@ -197,6 +197,8 @@ def _write(out: Path, data: str, quality: LabelQuality, numbers: dict[str, Any],
         "regions": (region_bars(quality.accuracy.per_class_accuracy), "Pixels of each region labelled right."),
         "calibration": (reliability_diagram(quality.calibration), "How far probabilities can be believed."),
     }
+    for name in (*charts, "examples", "report"):  # of an earlier time, should this one be cut off
+        (out / f"{name}.{'html' if name == 'report' else 'png'}").unlink(missing_ok=True)
     for name, (chart, _) in charts.items():
         write_file(out / f"{name}.png", chart)
     grid = label_grid(shown)

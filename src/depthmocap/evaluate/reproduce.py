@@ -91,6 +91,7 @@ def reproduce(settings: Reproduction, console: Console | None = None) -> dict[st
         raise InputError(joined(notes, len(notes)))
     network = settings.net3 or "the packaged one"
     notes.append(f"Network: {network}; joints: {settings.estimator}. Frames are independent, nothing is smoothed.")
+    (settings.out / "numbers.json").unlink(missing_ok=True)  # of another report
     write_report(
         settings.out / "report.html",
         "Real-time human motion capture with multiple depth cameras: the paper's results and ours",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -12,13 +14,44 @@ import numpy as np
 from depthmocap.ending import finishing
 from depthmocap.errors import InputError
 from depthmocap.export.bvh import write_bvh
-from depthmocap.export.csv import CsvWriter, read_csv
+from depthmocap.export.csv import TIME, CsvWriter, read_csv
 from depthmocap.export.trc import write_trc
 from depthmocap.frames import Pose
-from depthmocap.output import make_inner_folder, write_json
+from depthmocap.output import make_inner_folder, write_json, writing
 
+#: What ``run`` and ``live`` write into a folder and into those of people; ``run`` pictures, too.
+RESULTS = ("pose.csv", "pose.trc", "pose.bvh", "summary.json")
+PICTURES = ("report.html", "preview.webp")
 #: Files of somebody who was not seen for longer than this are closed (s): people have their numbers back for a minute.
 CLOSED_AFTER_S = 65.0
+_PERSON = re.compile(r"person-\d+")
+
+
+def remove_results(folder: Path) -> None:
+    """Remove what an earlier ``run`` or ``live`` wrote into a folder, so that nothing of it stands beside what is
+    written now, or alone should that fail. Pictures and folders of people are its where a ``pose.csv`` of ours is
+    beside or in them; all else stays.
+
+    Raises:
+        InputError: when something cannot be removed.
+    """
+    with writing(folder):
+        for each in (folder, *folder.iterdir()):
+            if each != folder and (not _PERSON.fullmatch(each.name) or each.is_symlink() or not each.is_dir()):
+                continue
+            ours = _is_poses(each / "pose.csv")
+            for name in (*RESULTS, *PICTURES) if ours else RESULTS if each == folder else ():
+                (each / name).unlink(missing_ok=True)
+            if ours and each != folder:
+                with contextlib.suppress(OSError):  # it holds something else
+                    each.rmdir()
+
+
+def _is_poses(path: Path) -> bool:
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(TIME) + 1) == f"{TIME},".encode()
 
 
 class PoseFiles:

@@ -22,7 +22,7 @@ from depthmocap.capture.sync import SyncSettings
 from depthmocap.console import Terminal
 from depthmocap.ending import finishing
 from depthmocap.errors import InputError
-from depthmocap.export.files import PeopleFiles, PoseFiles
+from depthmocap.export.files import PeopleFiles, PoseFiles, remove_results
 from depthmocap.geometry import Rig, load_rig
 from depthmocap.offline import load_pipeline
 from depthmocap.online.dashboard import draw_dashboard
@@ -103,6 +103,8 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str
             writer = stack.enter_context(McapWriter(settings.record, rig, backgrounds))
             capture.gatherer.recorder = McapRecorder(writer, capture.gatherer.camera)
             stack.callback(capture.stop)  # before the file is closed, into which cameras write
+        if settings.out is not None:
+            remove_results(settings.out)
         files = stack.enter_context(PoseFiles(settings.out, capture.up)) if settings.out else None
         everybody = None
         if settings.out is not None and settings.people > 1:
