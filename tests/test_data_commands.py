@@ -247,7 +247,10 @@ def test_a_run_that_is_interrupted_loses_no_step(root, tmp_path, monkeypatch):
         with pytest.raises(KeyboardInterrupt):
             train_classifier(settings)
     assert torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)["done"] == 16
+    for name in (".lock", ".checkpoint.part-1.pt"):  # as a kill while it was written leaves
+        (settings.out / name).write_bytes(b"half")
     train_classifier(settings)
+    assert not [path for path in settings.out.iterdir() if path.name.startswith(".")]
     assert [json.loads(row)["step"] for row in (settings.out / "history.jsonl").read_text().splitlines()] == [32]
     # Begun anew, it leaves nothing of the earlier run beside its own.
     (settings.out / "checkpoint.pt").unlink()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import math
 import os
@@ -10,7 +11,7 @@ import re
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from depthmocap.errors import InputError
 
@@ -38,8 +39,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     unfinished = path.with_name(f".{path.stem[:60]}.part-{os.getpid()}{path.suffix}")
     with writing(path):
-        if path.exists() and not path.is_file():  # such as /dev/null
-            raise InputError(f"cannot write {path}: it is no file")
+        _check_replaceable(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         # Of a killed process with this one's number; or a link, which must not be followed.
         unfinished.unlink(missing_ok=True)
@@ -62,7 +62,7 @@ def write_file(path: Path, data: bytes | memoryview | str) -> None:
         unfinished.write_bytes(data.encode(errors="backslashreplace") if isinstance(data, str) else data)
 
 
-def open_new(path: Path) -> BinaryIO:
+def open_new(path: Path) -> io.BufferedWriter:
     """Open a file that is written as it grows, and is of use before it is whole. It takes the place of a file of its
     name; of a link only the link, so that nothing elsewhere is written over.
 
@@ -74,8 +74,7 @@ def open_new(path: Path) -> BinaryIO:
         try:
             return path.open("xb")
         except FileExistsError:
-            if path.exists() and not path.is_file():
-                raise InputError(f"cannot write {path}: it is no file") from None
+            _check_replaceable(path)
             path.unlink(missing_ok=True)
 
 
@@ -89,6 +88,45 @@ def make_inner_folder(folder: Path) -> None:
         raise InputError(f"{folder} is a link, by which files elsewhere would be written over: remove it")
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
+
+
+def _check_replaceable(path: Path) -> None:
+    if path.exists() and not path.is_file():  # such as /dev/null
+        raise InputError(f"cannot write {path}: it is no file")
+
+
+class LineFile:
+    """A new text file in UTF-8, in place of one of its name, to which lines are appended. Each is handed to the system
+    at once and whole: a process that is killed afterwards keeps it, and a full disk leaves no half of one.
+
+    Raises:
+        InputError: when it cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with writing(path):
+            self._file = open_new(path).detach()
+
+    def add(self, line: str) -> None:
+        """Append a line, without its end.
+
+        Raises:
+            InputError: when it cannot be written; the lines before are in the file.
+        """
+        rest, before = memoryview(f"{line}\n".encode()), self._file.tell()
+        with writing(self._path):
+            try:
+                while rest:
+                    rest = rest[self._file.write(rest) or 0 :]
+            except BaseException:
+                self._file.truncate(before)
+                self._file.seek(before)
+                raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
 
 
 def remove_unfinished(folder: Path) -> None:

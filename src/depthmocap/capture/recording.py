@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import io
 import os
 import struct
 from collections.abc import Iterator, Mapping
@@ -35,7 +34,7 @@ from depthmocap.errors import InputError
 from depthmocap.export.csv import read_csv
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import DepthCamera, Rig, load_rig, save_rig
-from depthmocap.output import write_file, writing
+from depthmocap.output import LineFile, write_file, writing
 from depthmocap.owning import LOCK_FILE, own_folder
 
 BACKGROUND_FILE = "background.png"
@@ -381,7 +380,7 @@ class RecordingWriter:
         if path.exists() and not path.is_dir():
             raise InputError(f"{path} exists already: choose a new folder for the recording")
         self.path, self.rig, self.compression = path, rig, compression
-        self._truth_file: io.FileIO | None = None
+        self._truth_file: LineFile | None = None
         with contextlib.ExitStack() as stack:
             stack.enter_context(own_folder(path))
             if any(each.name != LOCK_FILE for each in path.iterdir()) and not (
@@ -421,25 +420,11 @@ class RecordingWriter:
             self._write_png(name, f"{timestamp_ns}.png", raw)
         if true_joints is not None:
             if self._truth_file is None:
-                with writing(self.path / TRUTH_FILE):
-                    self._truth_file = io.FileIO(self.path / TRUTH_FILE, "xb")
-                self._add_truth(",".join(("time_s", *TRUTH_COLUMNS)))
+                self._truth_file = LineFile(self.path / TRUTH_FILE)
+                self._truth_file.add(",".join(("time_s", *TRUTH_COLUMNS)))
             seconds, rest = divmod(timestamp_ns, 10**9)
             cells = map(repr, true_joints.astype(float).ravel().tolist())  # repr: reads back exactly
-            self._add_truth(f"{seconds}.{rest:09d}," + ",".join(cells))
-
-    def _add_truth(self, line: str) -> None:
-        """Hand a whole line to the system, or nothing of it: on a full disk what found room is taken back."""
-        file, rest = self._truth_file, memoryview(f"{line}\n".encode())
-        assert file is not None
-        before = file.tell()
-        with writing(self.path / TRUTH_FILE):
-            try:
-                while rest:
-                    rest = rest[file.write(rest) :]
-            except BaseException:
-                file.truncate(before)
-                raise
+            self._truth_file.add(f"{seconds}.{rest:09d}," + ",".join(cells))
 
     def close(self, finished: bool = True) -> None:
         """Close the files; a recording that is ``finished`` loses its mark. A second call does nothing."""

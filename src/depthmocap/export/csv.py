@@ -7,7 +7,6 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import TextIO
 
 import numpy as np
 from jaxtyping import Float
@@ -16,7 +15,7 @@ from numpy import ndarray
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
 from depthmocap.frames import Pose
-from depthmocap.output import open_new, writing
+from depthmocap.output import LineFile
 
 TIME = "time_s"
 _POSITION_COLUMNS = [f"{joint}_{axis}" for joint in JOINTS for axis in "xyz"]
@@ -25,7 +24,7 @@ HEADER: tuple[str, ...] = (TIME, *(f"{joint}_{field}" for joint in JOINTS for fi
 
 
 class CsvWriter:
-    """Writes poses one by one and flushes each, so that an interrupted run keeps what was done.
+    """Writes poses one by one, each at once and whole, so that a run that is cut off keeps what was done.
 
     ``time_s`` counts from the first pose. An unobserved joint is written ``nan``.
 
@@ -35,12 +34,11 @@ class CsvWriter:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._file: TextIO | None = None
+        self._file: LineFile | None = None
         self._first_ns: int | None = None
 
     def __enter__(self) -> CsvWriter:
-        with writing(self._path):
-            self._file = io.TextIOWrapper(open_new(self._path), encoding="utf-8", newline="")
+        self._file = LineFile(self._path)
         self._write_line(",".join(HEADER))
         return self
 
@@ -63,9 +61,7 @@ class CsvWriter:
     def _write_line(self, line: str) -> None:
         if self._file is None:
             raise ValueError("CsvWriter is closed: use it as `with CsvWriter(path) as writer:`")
-        with writing(self._path):
-            self._file.write(line + "\n")
-            self._file.flush()
+        self._file.add(line)
 
 
 def write_csv(path: Path, poses: Sequence[Pose]) -> None:

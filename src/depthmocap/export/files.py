@@ -157,6 +157,6 @@ class PeopleFiles:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with finishing():
+        with finishing(), contextlib.ExitStack() as stack:  # all of them, also where one cannot be written
             for files in self._files.values():
-                files.__exit__(kind, error, trace)
+                stack.callback(files.__exit__, kind, error, trace)
