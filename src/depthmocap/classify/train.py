@@ -8,6 +8,8 @@ import dataclasses
 import io
 import json
 import math
+import os
+import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -336,7 +338,9 @@ def train_classifier(settings: ClassifierTraining) -> Path:
 
 
 def _begin_worker(_: int) -> None:
+    """SIGTERM is also how torch ends its processes; one that ends by itself is no failure to it."""
     leave_ending_to_parent()
+    signal.signal(signal.SIGTERM, lambda *_: os._exit(0))
 
 
 @contextlib.contextmanager
