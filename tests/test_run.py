@@ -20,7 +20,7 @@ from depthmocap.cli import main
 from depthmocap.export import CsvWriter, read_bvh, read_csv, read_trc, write_trc
 from depthmocap.export.files import PICTURES, RESULTS
 from depthmocap.geometry import DepthCamera, Rig, load_rig, look_at, save_rig
-from depthmocap.offline import RESULTS, _way_out
+from depthmocap.offline import _way_out
 from depthmocap.synth.render import render_body
 
 #: Cameras of different sizes and makes around a person at the origin.
