@@ -1,10 +1,13 @@
 import io
+import logging
+from pathlib import Path
 
 import pytest
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from depthmocap.cli import main
 from depthmocap.console import Terminal, description
 from depthmocap.errors import LONGEST, InputError
 from depthmocap.text import cameras, harmless, joined, shortened
@@ -41,6 +44,13 @@ def test_the_terminal_shows_hostile_text_on_one_line_by_whatever_way_it_comes() 
     assert not any(letter in line for line in lines for letter in "\x1b\x07\r\u202e")
     assert lines[0] == SHOWN
     assert sum(SHOWN in line for line in lines) >= 5  # of it printed, in two titles, two cells and the progress bar
+
+
+def test_warnings_of_commands_are_harmless_lines(tmp_path: Path) -> None:
+    assert main(["info", str(tmp_path)]) == 2
+    record = logging.LogRecord("depthmocap", logging.WARNING, "", 0, "left out: %s", (HOSTILE,), None)
+    assert logging.lastResort is not None
+    assert logging.lastResort.format(record) == f"left out: {SHOWN}"
 
 
 def test_a_message_that_is_too_long_loses_the_middle_of_what_it_quotes() -> None:

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import importlib
 import io
+import logging
 import sys
 import warnings
 from typing import Any
@@ -15,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from depthmocap import __version__
-from depthmocap.console import Terminal
+from depthmocap.console import OneLine, Terminal
 from depthmocap.ending import ended_by_signals
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.streams import lasting_streams
@@ -179,6 +180,8 @@ def _main(arguments: list[str] | None) -> int:
     command, rest = found
     # Third-party warnings about their own futures mean nothing to a user.
     warnings.simplefilter("ignore", DeprecationWarning)
+    if logging.lastResort is not None:  # which prints our warnings where nobody has asked for others
+        logging.lastResort.setFormatter(OneLine())
     try:
         try:
             module = importlib.import_module(command.module)

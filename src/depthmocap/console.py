@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 from typing import IO, Any, TextIO, cast
 
@@ -42,6 +43,13 @@ class Terminal(Console):
                 yield segment
             else:
                 yield Segment("\n".join(map(harmless, text.split("\n"))), segment.style)
+
+
+class OneLine(logging.Formatter):
+    """Warnings as harmless lines."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return harmless(super().format(record))
 
 
 def description(text: str) -> str:
