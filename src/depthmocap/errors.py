@@ -2,8 +2,8 @@
 
 from depthmocap.text import harmless, shortened
 
-#: Letters of a message.
-LONGEST = 300
+#: Letters of a message: less than 300 with what stands before it on the terminal.
+LONGEST = 290
 
 
 class InputError(ValueError):
