@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
 
-.PHONY: demo test lint benchmark clean
+.PHONY: demo test fuzz lint benchmark clean
 
 # The main job on the packaged recording: base install, no torch, no network but the package index.
 demo: $(VENV)/base
@@ -11,6 +11,10 @@ demo: $(VENV)/base
 # By two processes; what threads would do beside them, they would do against each other.
 test: $(VENV)/dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile
+
+# Spoilt inputs for every reader; also of some readers alone, or from another seed: FUZZ="--readers rig --seed 1".
+fuzz: $(VENV)/dev
+	OMP_NUM_THREADS=1 $(BIN)/python tests/fuzz/fuzz.py $(FUZZ)
 
 lint: $(VENV)/dev
 	$(BIN)/ruff check .
