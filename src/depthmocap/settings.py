@@ -11,6 +11,7 @@ from typing import Any
 
 from depthmocap.errors import InputError
 from depthmocap.output import write_file
+from depthmocap.reading.json_text import read_json
 
 
 def plain_settings(settings: Any) -> dict[str, Any]:
@@ -46,6 +47,25 @@ def check_at_least(least: int, numbers: Mapping[str, float | None]) -> None:
             raise InputError(f"{option} must be finite and at least {least}, got {value}")
 
 
+def read_settings(path: Path, what: str) -> dict[str, Any]:
+    """The settings that a command left beside its results.
+
+    Args:
+        what: the folder holds, for the message.
+
+    Raises:
+        InputError: when the file cannot be read or holds something else.
+    """
+    way_out = "choose another --out, or remove its folder"
+    try:
+        settings = read_json(path)
+    except InputError as error:
+        raise InputError(f"{error}: {way_out}") from None
+    if not isinstance(settings, dict):
+        raise InputError(f"{path} does not hold the settings of {what}: {way_out}")
+    return settings
+
+
 def claim_folder(folder: Path, settings: Any, what: str, free: Collection[str]) -> None:
     """Write settings.json into a folder that a command fills, or compare with what is there, so that what is run again
     goes on with the same.
@@ -60,7 +80,7 @@ def claim_folder(folder: Path, settings: Any, what: str, free: Collection[str]) 
     mine = json.loads(json.dumps(plain_settings(settings)))  # which has lists for tuples
     path = folder / "settings.json"
     if path.exists():
-        theirs = json.loads(path.read_text(encoding="utf-8"))
+        theirs = read_settings(path, what)
         differ = [name for name, value in mine.items() if name not in free and theirs.get(name) != value]
         if differ:
             options = ", ".join(f"--{name.replace('_', '-')} {theirs.get(name)}" for name in differ)

@@ -7,7 +7,7 @@ import pytest
 from mhad_files import camera, make_clips, rest_joints, true_joints, write_bvh, write_mhad
 
 from depthmocap.datasets.annotated import AnnotatedSet
-from depthmocap.datasets.mhad import MHAD_JOINTS, MHAD_OURS, MhadSet, read_mhad_camera
+from depthmocap.datasets.mhad import MHAD_JOINTS, MHAD_OURS, MhadSet, read_mhad_camera, read_pgm
 from depthmocap.errors import InputError
 from depthmocap.geometry.transforms import transform_points
 
@@ -119,14 +119,35 @@ def test_a_skeleton_that_ends_too_early(root, clips):
         ("RwTw_k02.txt", "Rw=", "Rw=-0.5 0 0 0 1 0 0 0 1\n", "not a rotation"),
         ("camcfg_k02.yml", "Camera_1", "Camera_2", "must hold Camera_1"),
         ("camcfg_k01.yml", "3.146400000e+02", "9.146400000e+02", "640×480"),
+        ("camcfg_k01.yml", "opencv-matrix", "\0", "must hold Camera_1"),
+        ("camcfg_k02.yml", "rows: 3", "rows: 99999999999", "must hold Camera_1"),
+        ("camcfg_k01.yml", "K:", "K: \xff", "not text in UTF-8"),
     ],
 )
 def test_calibration_that_cannot_be(root, name, old, new, told):
     path = root / "Calibration" / name
     assert old in path.read_text()
-    path.write_text(path.read_text().replace(old, new, 1))
+    path.write_bytes(path.read_text().replace(old, new, 1).encode("latin-1"))
     with pytest.raises(InputError, match=f"{name}.*{told}"):
         MhadSet(root)
+
+
+@pytest.mark.parametrize("header", [b"P5 640 480 " + b"9" * 5000, b"P5 " + b"# " * 40 + b"x", b"P5 #" * 40])
+def test_a_picture_with_a_header_that_lies_is_refused_at_once(tmp_path, header):
+    (tmp_path / "depth.pgm").write_bytes(header + b"\n" + bytes(100))
+    with pytest.raises(InputError, match="not a binary PGM"):
+        read_pgm(tmp_path / "depth.pgm")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "# nothing\n", "1 2\n", "1 2 x\n", "1 2 1e300\n", "1 2 nan\n", "1 2 -1\n", "\xff"]
+)
+def test_correspondences_that_cannot_be_leave_their_sequence_out(root, text):
+    path = root / "Kinect/Correspondences/corr_moc_kin01_s01_a01_r01.txt"
+    path.write_bytes(text.encode("latin-1"))
+    source = MhadSet(root, subjects=(1,), actions=(1,))
+    assert list(source) == []
+    assert path.name in source.problems[0] and len(source.problems) == 1
 
 
 def test_calibration_of_another_day_disagrees_with_the_pictures(root):

@@ -76,6 +76,9 @@ class Cases:
                 check_message(str(error))
             except AssertionError as fault:
                 return str(fault)
+        except OSError as error:
+            if error.filename is None:  # commands show others as a line of the file and what is wrong with it
+                return "".join(traceback.format_exception(error))
         except BaseException as error:
             if isinstance(error, KeyboardInterrupt):
                 raise

@@ -31,6 +31,7 @@ from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.geometry.transforms import is_rigid, rigid_inverse
+from depthmocap.reading.files import read_bytes, read_text
 
 WIDTH, HEIGHT = 640, 480
 KINECTS = (1, 2)
@@ -57,6 +58,10 @@ ACTIONS = {
     "a06": "waving one hand", "a07": "clapping", "a08": "throwing", "a09": "sitting down and standing up",
     "a10": "sitting down", "a11": "standing up",
 }  # fmt: skip
+#: Bytes of the largest of its texts and pictures; comments have some room.
+_LARGEST_TEXT, _LARGEST_PGM = 1 << 24, 2 * WIDTH * HEIGHT + (1 << 16)
+#: Comments end with their line, so that nothing is tried twice.
+_PGM = re.compile(rb"P5\s+(?:#[^\n]*\n\s*)*(\d{1,5})\s+(\d{1,5})\s+(\d{1,5})\s")
 _UNIT_M = 0.01  # of the skeletons: ten times their numbers are millimetres
 _TRUNK = [MHAD_JOINTS.index(name) for name in ("Spine1", "Spine2", "Spine3", "Neck")]
 #: Sequences, and frames of each, that the empty scene is learnt from.
@@ -280,20 +285,19 @@ def read_mhad_camera(root: Path, kinect: int) -> DepthCamera:
         InputError: when a file is missing or malformed, or does not suit 640×480 pictures.
     """
     lens, pose = (root / "Calibration" / name for name in (f"camcfg_k{kinect:02d}.yml", f"RwTw_k{kinect:02d}.txt"))
-    for path in (lens, pose):
-        if not path.is_file():
-            raise InputError(f"{path} not found: the Calibration folder of Berkeley MHAD is needed")
+    lens_text, text = (
+        read_text(path, _LARGEST_TEXT, "the Calibration folder of Berkeley MHAD is needed") for path in (lens, pose)
+    )
     try:
-        storage = cv2.FileStorage(str(lens), cv2.FILE_STORAGE_READ)
+        storage = cv2.FileStorage(lens_text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         node = storage.getNode("Camera_1")
         matrix, distortion = node.getNode("K").mat(), node.getNode("Dist").mat()
-    except cv2.error:
+    except (cv2.error, SystemError):  # the latter where OpenCV cannot hand on why
         matrix = distortion = None
     if matrix is None or matrix.shape != (3, 3) or distortion is None or distortion.size < 4:
         raise InputError(f"{lens} must hold Camera_1 with K (3×3) and Dist (four numbers)")
     if not (0 < matrix[0, 2] < WIDTH and 0 < matrix[1, 2] < HEIGHT and min(matrix[0, 0], matrix[1, 1]) > 0):
         raise InputError(f"{lens}: K is not of a {WIDTH}×{HEIGHT} picture: centre {matrix[0, 2]:g}, {matrix[1, 2]:g}")
-    text = pose.read_text(encoding="utf-8", errors="replace")
     camera_from_world = np.eye(4)
     for key, part in (("Rw", np.s_[:3, :3]), ("Tw", np.s_[:3, 3])):
         found = re.search(rf"^\s*{key}\s*=(.*)$", text, re.MULTILINE)
@@ -318,13 +322,8 @@ def read_pgm(path: Path) -> ndarray:
     Raises:
         InputError: when it is missing, cut off or of another kind.
     """
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path} not found") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}") from None
-    header = re.match(rb"P5\s+(?:#.*\s+)*(\d+)\s+(\d+)\s+(\d+)\s", data)
+    data = read_bytes(path, _LARGEST_PGM)
+    header = _PGM.match(data)
     if header is None or int(header[3]) < 256 or (int(header[1]), int(header[2])) != (WIDTH, HEIGHT):
         raise InputError(f"{path} is not a binary PGM of {WIDTH}×{HEIGHT} pixels and 16 bits")
     pixels = data[header.end() :]
@@ -343,13 +342,13 @@ def _sequences(root: Path) -> list[Sequence]:
 
 def _correspondences(path: Path) -> Int[ndarray, "n"]:
     """The marker system's frame of each Kinect frame."""
+    rows = [line for line in read_text(path, _LARGEST_TEXT).split("\n") if line.partition("#")[0].strip()]
     try:
-        table = np.loadtxt(path, ndmin=2)
-    except FileNotFoundError:
-        raise InputError(f"{path} not found") from None
-    except (OSError, ValueError) as error:
+        table = np.loadtxt(rows, ndmin=2) if rows else np.empty((0, 3))
+    except ValueError as error:
         raise InputError(f"{path} cannot be read: {error}") from None
-    if table.shape[1:] < (3,) or not len(table) or not np.isfinite(table).all() or (table[:, 2] < 0).any():
+    # Not finite is not within either.
+    if table.shape[1] < 3 or not len(table) or not ((table[:, 2] >= 0) & (table[:, 2] < 2**31)).all():
         raise InputError(f"{path} must hold three columns, the third a frame of the marker system, in a row per frame")
     return table[:, 2].astype(np.int64)
 

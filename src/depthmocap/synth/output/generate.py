@@ -31,7 +31,7 @@ from depthmocap.cores import usable_cores
 from depthmocap.errors import InputError
 from depthmocap.output import write_file, writing
 from depthmocap.owning import LOCK_FILE, own_folder
-from depthmocap.settings import check_seed, plain_settings
+from depthmocap.settings import check_seed, plain_settings, read_settings
 from depthmocap.synth.output.card import CardRow, card_stride, write_card
 from depthmocap.synth.output.cluster import RayCluster
 from depthmocap.synth.output.units import Folder, Layout, Made, Unit, describing_units, make_unit, open_folder
@@ -180,11 +180,7 @@ def _claim(folder: Path, settings: SynthSettings) -> str:
     wanted = json.loads(text)
     path = folder / "settings.json"
     if _others(folder):
-        try:
-            earlier = json.loads(path.read_text(encoding="utf-8"))
-            flat = [_flat(earlier), _flat(wanted)]
-        except (ValueError, AttributeError):
-            raise InputError(f"{path} is damaged: remove {folder} and make the set again") from None
+        flat = [_flat(read_settings(path, "the set")), _flat(wanted)]
         changed = sorted(key for key in {*flat[0], *flat[1]} if flat[0].get(key) != flat[1].get(key))
         if changed:
             raise InputError(f"{folder} was made with other settings ({', '.join(changed)}): choose another --out")
@@ -195,7 +191,8 @@ def _claim(folder: Path, settings: SynthSettings) -> str:
 
 def _flat(settings: dict[str, Any]) -> dict[str, Any]:
     """The recipe's settings beside the others."""
-    recipe = settings.get("recipe", {})
+    recipe = settings.get("recipe")
+    recipe = recipe if isinstance(recipe, dict) else {}
     return {**{key: value for key, value in settings.items() if key != "recipe"}, **recipe}
 
 
@@ -248,7 +245,7 @@ def _describe(settings: SynthSettings, cluster: RayCluster | None, whole: Unit, 
         for made in all_made:
             rows.update((row.index, row) for row in made.rows)
     facts = {
-        **json.loads((whole.folder / "settings.json").read_text(encoding="utf-8")),
+        **read_settings(whole.folder / "settings.json", "the set"),
         "settings": whole.identity,
         "samples": whole.samples,
         "views": whole.samples * whole.recipe.views,
