@@ -23,6 +23,7 @@ from depthmocap.cli import main
 assert main(["run", "short", "--out", "run"]) == 0
 assert main(["live", "short", "--out", "live"]) == 0
 assert main(["record", "short", "--out", "live.mcap"]) == 0
+assert main(["cameras"]) == 0
 if sys.argv[1:] == ["train"]:
     from depthmocap.classify import train
 
@@ -75,8 +76,8 @@ def test_nothing_calls_home(short: Path, request: pytest.FixtureRequest, tmp_pat
     assert contacts(watch) == set()
     if log.exists():
         assert traced_contacts(log) == set()
-    found = {str(each.relative_to(home)) for each in [*home.glob("*"), *home.glob(".*/*")]}
-    assert found - {".cache", ".config"} <= _CACHES
+    assert {str(each.relative_to(home)) for each in home.glob("*/*")} <= _CACHES
+    assert {each.name for each in home.iterdir()} <= {".cache", ".config"}
     made = {"run", "live", "live.mcap", *(("trained", "simulated") if train else ())}
     assert {each.name for each in tmp_path.iterdir()} <= {"short", "watch", "home", "strace.log", *made}
 

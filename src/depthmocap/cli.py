@@ -198,6 +198,9 @@ def _main(arguments: list[str] | None) -> int:
         where = f"{error.filename}: " if error.filename else ""
         _tell_error(errors, InputError(f"{where}{error.strerror or error}"))
         return 2
+    except UnicodeEncodeError as error:  # a path that a library takes as text, or a locale without the letter
+        _tell_error(errors, InputError(f"{error.object!r} is no {error.encoding}: rename it, or set PYTHONUTF8=1"))
+        return 2
     except KeyboardInterrupt:
         errors.print("stopped", style="red")
         return 130

@@ -7,6 +7,8 @@ host's where the SDK translates them (``global_time``).
 
 from __future__ import annotations
 
+import ctypes
+import functools
 import time
 from typing import Any
 
@@ -29,10 +31,19 @@ def _info(rs: Any, device: Any, what: str) -> str:
     return device.get_info(item) if device.supports(item) else ""
 
 
+@functools.cache
+def _context() -> Any:
+    """The SDK's context, one for as long as the process runs: when one is closed, the SDK writes statistics of use into
+    the user's home folder, and has no switch for that."""
+    context = MAKE.load().context()
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(context))  # so that Python does not close it at its own end, either
+    return context
+
+
 def find() -> list[FoundCamera]:
     """The connected cameras."""
     rs = MAKE.load()
-    devices = list(rs.context().query_devices())
+    devices = list(_context().query_devices())
     return MAKE.found([(_info(rs, device, "serial_number"), _info(rs, device, "name")) for device in devices])
 
 
@@ -89,7 +100,7 @@ class RealSenseCamera(DepthSource):
         ))  # fmt: skip
 
     def _find(self, rs: Any) -> Any:
-        devices = list(rs.context().query_devices())
+        devices = list(_context().query_devices())
         return devices[MAKE.choose([_info(rs, device, "serial_number") for device in devices], self._serial)]
 
     def _read(self, timeout_s: float) -> DepthFrame | None:

@@ -69,7 +69,7 @@ def quantise(source: Path, windows: Sequence[Float32[ndarray, "3 _ _"]], path: P
         options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_BASIC
         options.optimized_model_filepath = str(plain)
         options.log_severity_level = 3
-        onnxruntime.InferenceSession(str(source), options, providers=["CPUExecutionProvider"])
+        onnxruntime.InferenceSession(source.read_bytes(), options, providers=["CPUExecutionProvider"])
         integer = Path(folder) / "integer.onnx"
         logging.disable(logging.WARNING)  # advice about a pass that has just been made
         try:
