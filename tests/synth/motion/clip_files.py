@@ -98,7 +98,7 @@ def skeleton(program: str) -> list[tuple[str, str, int, np.ndarray]]:
 
 
 def write_bvh(path: Path, joints: list[tuple[str, str, int, np.ndarray]], frames: list[dict], spoil: str = "") -> None:
-    """A BVH file; frames give XYZ Euler angles (degrees) by key."""
+    """A BVH file; frames give XYZ Euler angles (degrees) by key, and the root's place as "at"."""
     lines, written = ["HIERARCHY"], []
 
     def add(index: int, depth: int) -> None:
@@ -118,7 +118,7 @@ def write_bvh(path: Path, joints: list[tuple[str, str, int, np.ndarray]], frames
     lines += ["MOTION", f"Frames: {len(frames)}", "Frame Time: 0.033333"]
     for frame in frames:
         angles = [angle for key in written for angle in frame.get(key, (0, 0, 0))]
-        lines.append(" ".join(f"{number:.6f}" for number in (0, 95, 0, *angles)))
+        lines.append(" ".join(f"{number:.6f}" for number in (*frame.get("at", (0, 95, 0)), *angles)))
     old, _, new = spoil.partition("=>")
     path.write_text("\n".join(lines).replace(old, new) if spoil else "\n".join(lines))
 

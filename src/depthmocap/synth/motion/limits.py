@@ -58,15 +58,20 @@ def swing_twist(
     return swing, (twist + np.pi) % (2 * np.pi) - np.pi
 
 
-def within_limits(postures: Float[ndarray, "n 20 3"]) -> Bool[ndarray, "n"]:
-    """Whether all bones of each posture are within :data:`LIMITS_DEG`, and no knee is bent forwards."""
+def beyond_limits(postures: Float[ndarray, "n 20 3"]) -> Bool[ndarray, "n 20"]:
+    """Which bones of each posture are beyond :data:`LIMITS_DEG`; also a knee that is bent forwards."""
     swing, twist = swing_twist(postures.astype(np.float64))
-    good = np.ones(len(postures), dtype=bool)
+    beyond = np.zeros(postures.shape[:2], dtype=bool)
     for bone, index in POSTURE_INDEX.items():
         kind = bone.partition(".")[0]
         if kind in LIMITS_DEG:
             most_swing, most_twist = np.deg2rad(LIMITS_DEG[kind])
-            good &= (swing[:, index] <= most_swing) & (np.abs(twist[:, index]) <= most_twist)
-    for side in "RL":
-        good &= postures[:, POSTURE_INDEX[f"shin.{side}"], 0] >= -_KNEE_FORWARDS_RAD
-    return good
+            beyond[:, index] = (swing[:, index] > most_swing) | (np.abs(twist[:, index]) > most_twist)
+        if kind == "shin":
+            beyond[:, index] |= postures[:, index, 0] < -_KNEE_FORWARDS_RAD
+    return beyond
+
+
+def within_limits(postures: Float[ndarray, "n 20 3"]) -> Bool[ndarray, "n"]:
+    """Whether all bones of each posture are within :data:`LIMITS_DEG`, and no knee is bent forwards."""
+    return np.asarray(~beyond_limits(postures).any(1))

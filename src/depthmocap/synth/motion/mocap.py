@@ -14,18 +14,24 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
-from depthmocap.body.posture import heading, turn_posture
+from depthmocap.body.posture import POSTURE_INDEX, heading, turn_posture
 from depthmocap.errors import InputError
 from depthmocap.synth.motion.clips.amc import AMC_FPS, AsfSkeleton, read_amc_motion, read_asf
 from depthmocap.synth.motion.clips.bvh import read_bvh_motion
 from depthmocap.synth.motion.clips.motion import Motion
-from depthmocap.synth.motion.clips.retarget import retarget
+from depthmocap.synth.motion.clips.retarget import Retargeted, Up, retarget
 from depthmocap.synth.motion.clips.skeletons import Joints, map_skeleton
-from depthmocap.synth.motion.limits import within_limits
+from depthmocap.synth.motion.limits import beyond_limits, within_limits
 
 SPLITS = ("train", "valid", "test")
-#: A bone that turns faster than this between two frames at 30 frames a second has flipped.
-_FLIP_RAD_PER_S = np.deg2rad(55) * 30
+#: A bone that turns faster than this, and so many times as fast as before and afterwards, has flipped; so has one that
+#: turns faster than anybody kicks. A kick's shin turns by 60 degrees in a thirtieth of a second, and about as fast in
+#: the frames beside that.
+_FLIP_RAD_PER_S, _SUDDEN, _FASTEST_RAD_PER_S = np.deg2rad(55) * 30, 3.0, np.deg2rad(95) * 30
+#: What ends a limb or the trunk: nothing hangs from it but fingers and toes.
+_ENDS = np.array([POSTURE_INDEX[bone] for bone in ("head", "hand.R", "hand.L", "foot.R", "foot.L")])
+#: Who is no more upright than this (cosine) in so large a share of the frames lies, or their file's world does.
+_LYING, _MOSTLY = 0.5, 0.95
 #: Easy postures are of clips described so, as in the paper.
 _SIMPLE = re.compile(r"\b(walk|run|jog)(s|ing|ning|ging)?\b", re.IGNORECASE)
 _SUFFIXES = (".bvh", ".amc")
@@ -39,6 +45,8 @@ class Clip:
         frames: about 30 a second, before flips and impossible frames were left out.
         flipped, impossible: how many were.
         skeleton: which joint is which of our bones, and how that was found.
+        up: the axis that was taken for up in the file's world where its rest pose stands along another.
+        lies: nobody stands or sits in nearly all of it.
     """
 
     name: str
@@ -49,6 +57,8 @@ class Clip:
     flipped: int = 0
     impossible: int = 0
     skeleton: str = ""
+    up: Up | None = None
+    lies: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,10 +76,12 @@ class ClipReading:
     Attributes:
         joints: joint of a posture bone, for files whose names fit no scheme.
         skeletons: ASF file by the part of an AMC file's name before the underscore, where it is not of that name.
+        up: the axis that is up in the files' worlds; by default each file tells (see ``retarget``).
     """
 
     joints: Joints = dataclasses.field(default_factory=dict)
     skeletons: dict[str, str] = dataclasses.field(default_factory=dict)
+    up: Up | None = None
 
 
 def split_of(clip: str) -> str:
@@ -92,7 +104,7 @@ def read_bvh(
         InputError: a file that cannot be parsed, whose joints fit no naming scheme, or that lacks the length of a limb.
     """
     motion = read_bvh_motion(path)
-    return _postures(path, motion, anny_rest, joints)[0], motion.frame_time_s
+    return _postures(path, motion, anny_rest, ClipReading(joints or {}))[0].postures, motion.frame_time_s
 
 
 def read_amc(
@@ -104,28 +116,43 @@ def read_amc(
 ) -> tuple[Float[ndarray, "n 20 3"], float]:
     """Postures of an AMC file on the skeleton of an ASF file, as :func:`read_bvh`."""
     motion = read_amc_motion(path, read_asf(asf), fps)
-    return _postures(path, motion, anny_rest, joints)[0], motion.frame_time_s
+    return _postures(path, motion, anny_rest, ClipReading(joints or {}))[0].postures, motion.frame_time_s
 
 
 def _postures(
-    path: Path, motion: Motion, anny_rest: dict[str, Float[ndarray, "3"]], joints: Joints | None
-) -> tuple[Float[ndarray, "n 20 3"], str]:
+    path: Path, motion: Motion, anny_rest: dict[str, Float[ndarray, "3"]], reading: ClipReading
+) -> tuple[Retargeted, str]:
     try:
-        skeleton = map_skeleton(motion, joints)
-        return retarget(motion, skeleton, anny_rest), skeleton.describe(motion)
+        skeleton = map_skeleton(motion, reading.joints)
+        return retarget(motion, skeleton, anny_rest, reading.up), skeleton.describe(motion)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
 
+def _ends_possible(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n 20 3"]:
+    """The postures, hands, feet and heads that are turned farther than any can be laid along their parents: one twisted
+    marker says nothing against the rest of a body."""
+    ends = beyond_limits(postures)
+    kept = np.ones_like(ends)
+    kept[:, _ENDS] = ~ends[:, _ENDS]
+    return np.where(kept[..., None], postures, np.float32(0))
+
+
 def _unflipped(postures: Float[ndarray, "n 20 3"], frame_time: float) -> Bool[ndarray, "n"]:
-    """Frames more than a few frames away from a flip of any bone."""
-    flat = Rotation.from_rotvec(postures.reshape(-1, 3))
+    """Frames more than a few frames away from a flip of any bone. Heads, hands and feet that were laid along their
+    parents do not count where they begin and end to be."""
     n, bones = postures.shape[:2]
     keep = np.ones(n, dtype=bool)
     if n < 2:
         return keep
-    turn = (flat[:-bones].inv() * flat[bones:]).magnitude().reshape(n - 1, bones).max(1)
-    for frame in np.flatnonzero(turn > _FLIP_RAD_PER_S * frame_time):
+    flat = Rotation.from_rotvec(postures.reshape(-1, 3))
+    speed = (flat[:-bones].inv() * flat[bones:]).magnitude().reshape(n - 1, bones) / frame_time
+    laid = np.asarray(~postures.any(2))
+    speed[laid[1:] != laid[:-1]] = 0
+    beside = np.pad(speed, ((1, 1), (0, 0)))
+    others = np.maximum(beside[:-2], beside[2:])
+    flips = (speed > _FLIP_RAD_PER_S) & (speed > _SUDDEN * others) | (speed > _FASTEST_RAD_PER_S)
+    for frame in np.flatnonzero(flips.any(1)):
         keep[max(frame - 2, 0) : frame + 4] = False
     return keep
 
@@ -185,11 +212,12 @@ class ClipFolder:
                 continue
             try:
                 motion = self._motion(path, skeletons)
-                postures, skeleton = _postures(path, motion, anny_rest, self.reading.joints)
+                (postures, up), skeleton = _postures(path, motion, anny_rest, self.reading)
             except InputError as error:
                 yield SkippedClip(path.name, str(error).removeprefix(f"{path} ").removeprefix(f"{path}: "))
                 continue
             names.add(path.stem)
+            postures = _ends_possible(postures)
             steady = _unflipped(postures, motion.frame_time_s)
             possible = within_limits(postures)
             yield Clip(
@@ -201,6 +229,8 @@ class ClipFolder:
                 int((~steady).sum()),
                 int((steady & ~possible).sum()),
                 skeleton,
+                up,
+                bool((_upright(postures) < _LYING).mean() > _MOSTLY),
             )
 
     def _motion(self, path: Path, skeletons: dict[Path, AsfSkeleton]) -> Motion:
@@ -213,6 +243,11 @@ class ClipFolder:
         if asf not in skeletons:
             skeletons[asf] = read_asf(asf)
         return read_amc_motion(path, skeletons[asf], self.fps.get(path.name, AMC_FPS), every_frame=False)
+
+
+def _upright(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n"]:
+    """How upright each pelvis is: the cosine between its axis and the vertical."""
+    return Rotation.from_rotvec(postures[:, POSTURE_INDEX["pelvis"]]).as_matrix()[:, 2, 2]
 
 
 def _rate(text: str, manifest: Path) -> float:

@@ -20,6 +20,7 @@ from depthmocap.errors import InputError
 from depthmocap.output import check_outputs
 from depthmocap.owning import owns
 from depthmocap.settings import check_seed, plain_settings
+from depthmocap.synth.motion.clips.retarget import Up
 from depthmocap.synth.motion.clips.skeletons import read_mapping
 from depthmocap.synth.motion.cover import Cover, farthest_points
 from depthmocap.synth.motion.limits import within_limits
@@ -49,6 +50,7 @@ class PoolBuild:
         noise_rad: deviation of a perturbation, an axis of a bone.
         mapping: JSON file, joint of a posture bone, for skeletons with names of their own.
         skeletons: ASF file of a subject whose own is missing: --skeletons 88 86.asf 90 86.asf
+        up: the axis that is up in the files' worlds; by default each file's rest pose and the path of its root tell.
         seed: the same seed gives the same pool.
     """
 
@@ -63,6 +65,7 @@ class PoolBuild:
     noise_rad: float = 0.08
     mapping: Path | None = None
     skeletons: dict[str, str] = dataclasses.field(default_factory=dict)
+    up: Up | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -100,7 +103,7 @@ def build_pool(settings: PoolBuild) -> PosturePool:
     """
     console = Terminal()
     joints = read_mapping(settings.mapping) if settings.mapping else {}
-    folder = ClipFolder.open(settings.clips, ClipReading(joints, settings.skeletons))
+    folder = ClipFolder.open(settings.clips, ClipReading(joints, settings.skeletons, settings.up))
     rest = anny_rest()
     check_outputs({"--out": settings.out})
     quotas = [_Quota(round(settings.count * share), round(settings.easy * share)) for share in settings.shares]
@@ -142,6 +145,8 @@ def build_pool(settings: PoolBuild) -> PosturePool:
         "flipped_frames": sum(clip.flipped for clip in read),
         "impossible_frames": sum(clip.impossible for clip in read),
         "skeletons": dict(Counter(clip.skeleton for clip in read)),
+        "up": {clip.name: clip.up for clip in read if clip.up is not None},
+        "lying": [clip.name for clip in read if clip.lies],
         "distances_m": stops,
     }
     postures = np.concatenate([postures for postures, _ in parts])
@@ -232,6 +237,15 @@ def counts_of(pool: PosturePool) -> dict[str, dict[str, int]]:
     return table
 
 
+def _by_axis(up: dict[str, str]) -> dict[str, list[str]]:
+    return {axis: [name for name, own in up.items() if own == axis] for axis in sorted(set(up.values()))}
+
+
+def _some(names: list[str]) -> str:
+    """The first few of some names."""
+    return ", ".join(names[:5]) + (", …" if len(names) > 5 else "")
+
+
 def _print_report(console: Console, pool: PosturePool, settings: PoolBuild) -> None:
     report = pool.report
     skipped = report["skipped"]
@@ -244,6 +258,16 @@ def _print_report(console: Console, pool: PosturePool, settings: PoolBuild) -> N
     for skeleton, clips in report["skeletons"].items():
         if skeleton.startswith("guessed"):
             console.print(f"  {clips} clips {skeleton}", soft_wrap=True)
+    for axis, names in _by_axis(report["up"]).items():
+        console.print(
+            f"  up is {axis} in {len(names)} clips, as the path of the root tells, and not as in the rest pose: "
+            f"{_some(names)}", soft_wrap=True,
+        )  # fmt: skip
+    if report["lying"]:
+        console.print(
+            f"  nobody stands or sits in {len(report['lying'])} clips; if that is wrong, tell --up: "
+            f"{_some(report['lying'])}", style="yellow", soft_wrap=True,
+        )  # fmt: skip
     table = Table("split", "postures", "easy", *KINDS, "stop")
     for split, counts in report["counts"].items():
         distances = report["distances_m"][split]

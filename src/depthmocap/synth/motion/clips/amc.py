@@ -131,6 +131,10 @@ def read_amc_motion(path: Path, asf: AsfSkeleton, fps: float = AMC_FPS, every_fr
     except (OSError, ValueError) as error:
         raise InputError(f"{path} is not a readable AMC file: {reason(error)}") from None
     rotations = np.broadcast_to(np.eye(3), (len(values), len(asf.names), 3, 3)).copy()
+    root_path = np.zeros((len(values), 3))
+    for column, name in enumerate(asf.channels[0]):
+        if name.startswith("T"):
+            root_path[:, "XYZ".index(name[1])] = values[:, column]
     column = 0
     for joint, channels in enumerate(asf.channels):
         turning = [i for i, name in enumerate(channels) if name.startswith("R")]
@@ -140,7 +144,7 @@ def read_amc_motion(path: Path, asf: AsfSkeleton, fps: float = AMC_FPS, every_fr
             turns = Rotation.from_euler(order, angles, degrees=degrees).as_matrix()
             rotations[:, joint] = asf.axes[joint] @ turns @ asf.axes[joint].T
         column += len(channels)
-    return Motion(asf.names, asf.parents, asf.offsets, asf.ends, rotations, step / fps)
+    return Motion(asf.names, asf.parents, asf.offsets, asf.ends, rotations, step / fps, root_path)
 
 
 def _parse_amc(text: str, asf: AsfSkeleton, step: int) -> tuple[Float[ndarray, "n c"], bool]:

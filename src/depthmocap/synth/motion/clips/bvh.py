@@ -33,7 +33,8 @@ def read_bvh_motion(path: Path, every_frame: bool = True) -> Motion:
         joints: list[tuple[Any, int]] = []
         _flatten(root, -1, joints)
         step = 1 if every_frame else frame_step(frame_time_s)
-        rotations = _joint_rotations([joint.Channels for joint, _ in joints], rows[::step])
+        channels, rows = [joint.Channels for joint, _ in joints], rows[::step]
+        rotations = _joint_rotations(channels, rows)
         # The parser cuts a name at its first space.
         names = [" ".join(line.split()[1:]) for line in lines if line.split()[0] in ("ROOT", "JOINT")]
     except Exception as error:  # the parser raises bare and various errors on malformed text
@@ -45,6 +46,7 @@ def read_bvh_motion(path: Path, every_frame: bool = True) -> Motion:
         np.array([(0.0,) * 3 if joint.Children else tuple(joint.EndSite) for joint, _ in joints], dtype=float),
         rotations,
         frame_time_s * step,
+        _root_path(channels[0], rows),
     )
 
 
@@ -70,6 +72,15 @@ def _motion_rows(lines: list[str]) -> tuple[Float[ndarray, "n c"], float]:
     if not np.isfinite(rows).all():
         raise ValueError(f"frame {int(np.flatnonzero(~np.isfinite(rows).all(1))[0])} has a number that is not finite")
     return rows, float(words[4])
+
+
+def _root_path(channels: list[str], rows: Float[ndarray, "n c"]) -> Float[ndarray, "n 3"]:
+    """The root's position channels, zeros where it has none."""
+    path = np.zeros((len(rows), 3))
+    for column, name in enumerate(channels):
+        if name.endswith("position"):
+            path[:, "XYZ".index(name[0])] = rows[:, column]
+    return path
 
 
 def _joint_rotations(channels: list[list[str]], rows: Float[ndarray, "n c"]) -> Float[ndarray, "n j 3 3"]:

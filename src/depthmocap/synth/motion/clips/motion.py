@@ -20,6 +20,7 @@ class Motion:
         ends: from the last joint of a limb to its tip; zeros where a joint has children or the file tells nothing.
         rotations: of every joint relative to its parent.
         frame_time_s: seconds between frames.
+        root_path: where the root is, in the file's axes and unit of length; zeros where it does not tell.
     """
 
     names: tuple[str, ...]
@@ -28,6 +29,7 @@ class Motion:
     ends: Float[ndarray, "j 3"]
     rotations: Float[ndarray, "n j 3 3"]
     frame_time_s: float
+    root_path: Float[ndarray, "n 3"]
 
     def world_rotations(self) -> Float[ndarray, "n j 3 3"]:
         """Rotation of every joint away from the zero pose, in the file's world."""

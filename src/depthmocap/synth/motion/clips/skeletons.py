@@ -63,6 +63,13 @@ SCHEMES: dict[str, Joints] = {
     "biped": _scheme(
         "Pelvis Spine Spine1 Spine2 Neck Head", "R_{}", "L_{}", "Clavicle UpperArm Forearm Hand Thigh Calf Foot"
     ),
+    "makehuman": _scheme(  # its default rig; upper arms, legs and the rest are two joints each
+        "root spine05 spine03 spine01 neck01 head", "{}.R", "{}.L",
+        "clavicle upperarm01 lowerarm01 wrist upperleg01 lowerleg01 foot",
+    ),
+    "makehuman mocap": _scheme(
+        "Hips Spine1 Spine2 Spine3 Neck Head", "{}_R", "{}_L", "Clavicle UpArm LoArm Hand UpLeg LoLeg Foot"
+    ),
     "optitrack": _scheme("Hip Ab - Chest Neck Head", "R{}", "L{}", "Shoulder UArm FArm Hand Thigh Shin Foot"),
 }  # fmt: skip
 
@@ -127,8 +134,9 @@ def map_skeleton(motion: Motion, overrides: Joints | None = None) -> SkeletonMap
 
 
 def _plain_names(names: tuple[str, ...]) -> list[str]:
-    """Names without a name space (``a:Hips``) or a prefix that the joints share, spaces as underscores."""
-    plain = [name.rsplit(":", 1)[-1].replace(" ", "_") for name in names]
+    """Names without a name space (``a:Hips``), a path (``root/spine``) or a prefix that the joints share, spaces as
+    underscores."""
+    plain = [re.split(r"[:/|\\]", name.rstrip(":/|\\"))[-1].replace(" ", "_") for name in names]
     prefixes = {match.group() for name in plain[1:] if (match := re.match(r"[A-Za-z]+\d*_", name))}
     if len(prefixes) == 1 and len(names) > 2:
         prefix = prefixes.pop()
@@ -146,6 +154,11 @@ _SHIN = frozenset({"shin", "calf", "lowerleg", "lowleg", "knee", "tibia"})
 _PARTS = _HAND | _FOOT | _FOREARM | _SHIN
 #: Joints beside the limb's own: twist helpers and inverse kinematics handles.
 _HELPERS = frozenset({"twist", "roll", "ik", "pole", "end", "nub", "site", "target"})
+#: What a side may be glued to (``lfemur``), beside the ends of limbs.
+_GLUED = _PARTS | frozenset({
+    "femur", "humerus", "clavicle", "thigh", "hip", "leg", "upleg", "upperleg", "shoulder", "collar", "arm", "uparm",
+    "upperarm", "shldr", "toe", "toes", "thumb", "fingers", "scapula", "fibula", "ulna", "buttock",
+})  # fmt: skip
 
 
 def _words(name: str) -> frozenset[str]:
@@ -153,8 +166,9 @@ def _words(name: str) -> frozenset[str]:
     parts = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)
     words = [part.lower() for part in parts]
     for word in tuple(words):
-        if word[0] in "lr" and word[1:] in _PARTS:
-            words += [word[0], word[1:]]
+        side = next((side for side in ("left", "right", "l", "r") if word.removeprefix(side) in _GLUED), "")
+        if word.startswith(side) and side and word not in _GLUED:
+            words += [side, word.removeprefix(side)]
     words += [a + b for a, b in itertools.pairwise(words)]
     return frozenset(words)
 
@@ -174,8 +188,9 @@ def _guess(motion: Motion, plain: list[str]) -> dict[str, int]:
     joints["pelvis"] = motion.joined([joints["thigh.R"], joints["thigh.L"]])
     chest = motion.joined([joints["upper_arm.R"], joints["upper_arm.L"]])
     above = motion.ancestors(chest)
-    if joints["pelvis"] in above:
-        _spread_spine(above[: above.index(joints["pelvis"])][::-1], joints)
+    # Where hips and spine hang from one root side by side, the spine begins below that.
+    below = set(motion.ancestors(joints["pelvis"]))
+    _spread_spine([joint for joint in above if joint not in below][::-1], joints)
     heads = [i for i, name in enumerate(words) if name & _HEAD and not name & _HELPERS]
     necks = [i for i, name in enumerate(words) if name & _NECK and not name & _HELPERS]
     if heads:
