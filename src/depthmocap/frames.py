@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Protocol, runtime_checkable
 
+import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
@@ -20,6 +21,12 @@ class View:
     depth_m: Float[ndarray, "h w"]
     mask: Bool[ndarray, "h w"] | None = None
     labels: UInt8[ndarray, "h w"] | None = None
+
+    def turned(self, quarters: int) -> View:
+        """The view turned anticlockwise by so many quarters, with its camera: the same of the world is seen."""
+        pictures = (None if each is None else np.ascontiguousarray(np.rot90(each, quarters))
+                    for each in (self.depth_m, self.mask, self.labels))  # fmt: skip
+        return View(self.camera.turned(quarters), *pictures)  # pyright: ignore[reportArgumentType]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

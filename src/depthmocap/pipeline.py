@@ -112,7 +112,7 @@ class Pipeline:
         all_masks = [person.masks for person in seen] or [nobody]
         clock.append(time.perf_counter())
         views = frames.views * len(all_masks)
-        found = self._classifier.label_views(views, [mask for masks in all_masks for mask in masks])
+        found = self._classifier.label_views(views, [mask for masks in all_masks for mask in masks], self._up)
         clock.append(time.perf_counter())
         count = len(frames.views)
         labelled = [found[i * count : (i + 1) * count] for i in range(len(all_masks))]

@@ -96,6 +96,24 @@ def test_nobody(exported: tuple[PaperNet, Path]) -> None:
     assert not labels.any() and not confidence.any()
 
 
+def test_a_camera_on_its_side_costs_nothing(default_body: Body) -> None:
+    """A rig that knows what is up turns the picture; the labels and joints are those of the upright camera."""
+    posture = PosturePrior.load().sample(np.random.default_rng(0))[0]
+    depth, labels = render_body(default_body.pose(posture), CAMERA)
+    classifier = Classifier(threads=1)
+    upright = View(CAMERA, depth, labels > 0)
+    for quarters in (1, 2, 3):
+        hung = upright.turned(quarters)
+        assert hung.mask is not None and upright.mask is not None
+        (expected,) = classifier.label_views([upright], [upright.mask], "z")
+        (found,) = classifier.label_views([hung], [hung.mask], "z")
+        assert found.labels.shape == hung.depth_m.shape
+        assert (np.rot90(found.labels, -quarters) == expected.labels)[upright.mask].mean() > 0.99
+        np.testing.assert_allclose(found.joints, expected.joints, atol=0.01)
+        (as_it_stands,) = classifier.label_views([hung], [hung.mask])
+        assert (as_it_stands.labels == found.labels)[hung.mask].mean() < 0.9
+
+
 def test_the_packaged_network_is_ours() -> None:
     classifier = Classifier(threads=1)
     assert classifier.network == "fast" and classifier.path == packaged_weights()

@@ -46,6 +46,41 @@ def test_unproject_then_project(lens: str) -> None:
     np.testing.assert_allclose(uvz[:, 2], depth[v, u], rtol=1e-5)
 
 
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("quarters", [1, 2, 3, 4])
+def test_a_turned_camera_sees_the_same(lens: str, quarters: int) -> None:
+    camera = make_camera(distortion=LENSES[lens])
+    depth = np.random.default_rng(0).uniform(0.5, 6, (120, 160))
+    turned = camera.turned(quarters)
+    picture = np.rot90(depth, quarters)
+    assert picture.shape == (turned.height, turned.width)
+    points = np.rot90(
+        transform_points(camera.world_from_camera, camera.unproject(depth)).reshape(120, 160, 3), quarters
+    )
+    there = transform_points(turned.world_from_camera, turned.unproject(picture)).reshape(points.shape)
+    np.testing.assert_allclose(there, points, atol=2e-3)
+    np.testing.assert_allclose(turned.project(points.astype(np.float64))[..., 2], picture, atol=1e-5)
+
+
+@pytest.mark.parametrize(("roll_deg", "quarters"), [(0, 0), (30, 0), (-40, 0), (90, 1), (80, 1), (180, 2), (-90, 3)])
+def test_upright(roll_deg: float, quarters: int) -> None:
+    """Turned as told, the world's up is up in the picture within half a right angle."""
+    pose = look_at(np.array([1.0, -2.5, 1.4]), np.array([0.1, 0.0, 0.9]), np.deg2rad(roll_deg))
+    camera = make_camera(world_from_camera=pose)
+    up = np.array([0.0, 0.0, 1.0])
+    turns = camera.quarters_upright(up)
+    assert turns in (quarters, (4 - quarters) % 4)
+    low, high = camera.turned(turns).project(np.array([[0.1, 0.0, 0.9], [0.1, 0.0, 1.2]]))[:, :2]
+    assert low[1] - high[1] > abs(low[0] - high[0]) * 0.99
+
+
+def test_no_upright_where_none_is_known() -> None:
+    up = np.array([0.0, 0.0, 1.0])
+    down = make_camera(world_from_camera=look_at(np.array([0.0, 0.0, 3.0]), np.array([0.1, 0.0, 0.0]), 2.0))
+    assert down.quarters_upright(up) == 0
+    assert make_camera(world_from_camera=np.eye(4)).quarters_upright(np.array([0.0, 1.0, 0.0])) == 0
+
+
 def test_integer_pixel_is_its_centre() -> None:
     camera = make_camera(cx=80.0, cy=60.0, world_from_camera=np.eye(4))
     np.testing.assert_array_equal(camera.rays[60, 80], [0, 0])

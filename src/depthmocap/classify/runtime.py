@@ -18,6 +18,7 @@ from depthmocap.classify.preprocess import WINDOW_MAKERS, Window, WindowMaker
 from depthmocap.cores import usable_cores
 from depthmocap.errors import InputError
 from depthmocap.frames import View
+from depthmocap.geometry import z_up_from
 from depthmocap.kernels.dense_head import label_dense_pixels
 from depthmocap.kernels.head import label_groups
 from depthmocap.onnx_file import open_network
@@ -118,7 +119,7 @@ class Classifier:
         return FoundInWindow(labels, confidence, joints)
 
     def label_mask(self, view: View, mask: Bool[ndarray, "_ _"]) -> LabelledMask:
-        """What is found in a view, and the window it comes from."""
+        """What is found in a view as it stands, and the window it comes from."""
         window = self.make_window(view.depth_m, mask, view.camera)
         if window is None:
             nothing = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
@@ -132,10 +133,29 @@ class Classifier:
         return LabelledMask(Found(labels, confidence, joints), window, inside)
 
     def label_masks(self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]) -> Iterator[LabelledMask]:
-        """What is found in every view, in order, and the windows it comes from."""
+        """What is found in every view as it stands, in order, and the windows it comes from."""
         pairs = list(zip(views, masks, strict=True))
         return self._pool.map(lambda pair: self.label_mask(*pair), pairs)
 
-    def label_views(self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]) -> list[Found]:
-        """What is found in every view: labels are 0 and joints NaN where nobody is."""
-        return [each.found for each in self.label_masks(views, masks)]
+    def label_views(
+        self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]], up: str | None = None
+    ) -> list[Found]:
+        """What is found in every view: labels are 0 and joints NaN where nobody is.
+
+        Args:
+            up: the world's up axis. Where it is told, pictures of cameras that hang on their side or upside down are
+                turned upright for the network, which learns from people as cameras mostly see them.
+        """
+        pairs = list(zip(views, masks, strict=True))
+        upright = None if up is None else z_up_from(up)[2]
+        return list(self._pool.map(lambda pair: self._label_upright(pair[0], pair[1], upright), pairs))
+
+    def _label_upright(self, view: View, mask: Bool[ndarray, "_ _"], up_world: Float[ndarray, "3"] | None) -> Found:
+        quarters = 0 if up_world is None else view.camera.quarters_upright(up_world)
+        if not quarters:
+            return self.label_mask(view, mask).found
+        turned = View(view.camera, view.depth_m, mask).turned(quarters)
+        assert turned.mask is not None
+        found = self.label_mask(turned, turned.mask).found
+        labels, confidence = (np.ascontiguousarray(np.rot90(each, -quarters)) for each in found[:2])
+        return Found(labels, confidence, found.joints)

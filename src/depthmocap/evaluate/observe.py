@@ -143,7 +143,7 @@ def _length(source: AnnotatedSet, every: int) -> int | None:
 def _look(frame: AnnotatedFrame, up: str, estimator: JointEstimator, classifier: Classifier) -> dict[str, ndarray]:
     """What is found in one frame; joints in its own world, regions and the body's frame in the world turned Z-up."""
     start = time.perf_counter()
-    cloud = merge_views(label_people(frame.views, classifier))
+    cloud = merge_views(label_people(frame.views, classifier, up))
     joints, confidence = estimator(cloud, up)
     spent_ms = (time.perf_counter() - start) * 1e3
     row = {

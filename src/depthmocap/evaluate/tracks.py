@@ -42,7 +42,7 @@ def estimate_track(name: str, frames: Iterable[FrameSet], classifier: Classifier
     """Joints of frames with true masks and joints, frame by frame, nothing smoothed."""
     stamps, truths, joints, confidences = [], [], [], []
     for frame in frames:
-        parts = label_people(frame.views, classifier)
+        parts = label_people(frame.views, classifier, "z")
         found = [estimator(merge_views(parts[:count]), "z") for count in range(1, len(parts) + 1)]
         stamps.append(frame.timestamp_ns)
         truths.append(frame.true_joints)

@@ -31,6 +31,8 @@ _FOCAL_PX, _CENTRE_PX, _UNIT_M = (1.0, 1e6, "pixels"), (-1e6, 1e6, "pixels"), (1
 _LEAST_UNDONE = 0.3
 #: Columns and rows at which a lens model is tried.
 _GRID = 64
+#: A camera is no more than so far (the sine) from looking straight up or down where its picture has no upright.
+_STEEP = 0.35
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -117,6 +119,31 @@ class DepthCamera:
         x_d = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
         y_d = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
         return np.stack([x_d * self.fx + self.cx, y_d * self.fy + self.cy], -1)
+
+    def turned(self, quarters: int) -> DepthCamera:
+        """The camera whose picture is this one's turned anticlockwise by so many quarters, as ``np.rot90`` turns it."""
+        camera = self
+        for _ in range(quarters % 4):
+            # (x, y) becomes (y, −x): the new picture's right is the old one's down.
+            pose = camera.world_from_camera.copy()
+            pose[:3, 0], pose[:3, 1] = camera.world_from_camera[:3, 1], -camera.world_from_camera[:3, 0]
+            k1, k2, p1, p2, k3 = camera.distortion
+            camera = dataclasses.replace(
+                camera, width=camera.height, height=camera.width, fx=camera.fy, fy=camera.fx,
+                cx=camera.cy, cy=camera.width - 1 - camera.cx, world_from_camera=pose,
+                distortion=(k1, k2, -p2, p1, k3),
+            )  # fmt: skip
+        return camera
+
+    def quarters_upright(self, up_world: Float[ndarray, "3"]) -> int:
+        """By how many quarters anticlockwise (see :meth:`turned`) the picture is to be turned so that what is up in the
+        world is about up in it; 0 of a camera that looks nearly straight up or down, and of one whose pose is the
+        identity, which nobody has told."""
+        right, down, _ = self.world_from_camera[:3, :3].T @ up_world
+        if np.hypot(right, down) < _STEEP or np.array_equal(self.world_from_camera, np.eye(4)):
+            return 0
+        # An up that points right in the picture is put right by a quarter anticlockwise.
+        return round(float(np.arctan2(right, -down)) / (np.pi / 2)) % 4
 
     def to_metres(self, raw: UInt16[ndarray, "h w"]) -> Float[ndarray, "h w"]:
         """Raw sensor depth in metres (float32). Raw 0 stays 0, invalid; so does the saturated 65535."""

@@ -62,10 +62,16 @@ class LabelledCloud:
         return len(self.labels)
 
 
-def label_people(views: Sequence[View], classifier: Classifier) -> list[LabelledView]:
-    """Views with what the network finds at the person's mask, or where there is none at every pixel with depth."""
+def label_people(views: Sequence[View], classifier: Classifier, up: str | None = None) -> list[LabelledView]:
+    """Views with what the network finds at the person's mask, or where there is none at every pixel with depth.
+
+    Args:
+        up: the world's up axis, where it is known (see ``Classifier.label_views``).
+    """
     masks = [view.depth_m > 0 if view.mask is None else view.mask for view in views]
-    return [LabelledView(view, *found) for view, found in zip(views, classifier.label_views(views, masks), strict=True)]
+    return [
+        LabelledView(view, *found) for view, found in zip(views, classifier.label_views(views, masks, up), strict=True)
+    ]
 
 
 def merge_views(parts: Sequence[LabelledView]) -> LabelledCloud:

@@ -156,7 +156,7 @@ def label_sample(views: tuple[View, ...], classifier: Classifier | None) -> list
     """Views with the network's labels on the person's mask, or without a network their true ones; None where a view has
     none."""
     if classifier is not None:
-        return label_people(views, classifier)
+        return label_people(views, classifier, "z")
     parts: list[LabelledView] = []
     for view in views:
         if view.labels is None:
