@@ -181,6 +181,12 @@ def test_truncated_views_end_within_the_person(body_model: BodyModel) -> None:
     assert on_the_border(1.0) > on_the_border(0.0) + 0.2
 
 
+def test_cameras_look_straight_down(body_model: BodyModel) -> None:
+    overhead = CameraRange(distance_m=(0.5, 1.0), height_m=(2.4, 3.0), steepest_deg=90.0)
+    down = [view.camera.world_from_camera[2, 2] for seed in range(4) for view in draw(seed, cameras=overhead).views]
+    assert min(down) < -0.97 and max(down) < -0.9
+
+
 def test_held_out_clothes(body_model: BodyModel) -> None:
     for subset in get_args(Subset):
         for i in range(12):
@@ -230,6 +236,7 @@ def test_recipes_that_cannot_be(options: dict[str, Any], message: str) -> None:
         ({"aim_m": float("nan")}, "--aim-m must be a number of at least 0, got nan"),
         ({"roll_rad": float("inf")}, "--roll-rad must be a number of at least 0, got inf"),
         ({"truncated": 1.5}, "--truncated must be from 0 to 1"),
+        ({"steepest_deg": 91.0}, "--steepest-deg must be more than 0 and at most 90, got 91.0"),
     ],
 )
 def test_cameras_that_cannot_be(options: dict[str, Any], message: str) -> None:

@@ -15,6 +15,7 @@ from depthmocap.body.regions import REGION, UNLABELLED
 from depthmocap.classify.preprocess import Window, make_window
 from depthmocap.errors import InputError
 from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.synth.cut import cut_plane, random_cut
 from depthmocap.synth.motion.postures import PostureSource
 from depthmocap.synth.render import Material, PosedPerson, Rendering, render_person
 from depthmocap.synth.sample import CameraRange, Subset, random_camera, random_person
@@ -22,10 +23,22 @@ from depthmocap.synth.scenes.scene import TRAINING, random_scene, render_scene
 from depthmocap.synth.sensing.sensor import sense
 from depthmocap.synth.sensing.sensors import random_model, random_preset
 
-_PLACES = CameraRange(distance_m=(1.2, 4.5), height_m=(0.1, 3.0), aim_m=0.1, roll_rad=0.06)
+#: Where cameras of training stand, and how often: about people, close to them, far off, under the ceiling.
+_PLACES: tuple[tuple[float, CameraRange], ...] = (
+    (0.62, CameraRange(distance_m=(1.2, 4.5), height_m=(0.0, 3.0))),
+    (0.14, CameraRange(distance_m=(0.5, 1.4), height_m=(0.3, 2.2))),
+    (0.14, CameraRange(distance_m=(4.0, 8.0), height_m=(0.0, 3.0))),
+    (0.1, CameraRange(distance_m=(0.5, 1.5), height_m=(2.2, 3.5), steepest_deg=90.0)),
+)
+#: Those of validation.
+_VALID_PLACES = CameraRange(distance_m=(1.2, 4.5), height_m=(0.1, 3.0), roll_rad=0.06)
+#: Deviation of a camera's roll (radians), and of that of one which hangs askew; the share of the latter.
+_ROLL_RAD, _ASKEW_RAD, _ASKEW = 0.06, 0.4, 0.3
 _FEET = np.isin(np.arange(44), [REGION[f"{part} {side}"] for part in ("ankle", "forefoot") for side in "RL"])
 #: Fewest labelled pixels of a picture worth training on.
 _FEWEST = 300
+#: Fewest pixels of a window that show the person: of who is far from a poor sensor little but dust is left.
+_FEWEST_IN_WINDOW = 600
 #: Share of pictures with errors drawn around the sensor's; the others have just those.
 _RANDOM_ERRORS = 0.5
 #: So many windows in a row show the same person in the same posture, from anywhere by any sensor: making and dressing
@@ -65,7 +78,8 @@ class Spoiling:
     """How often a training picture is spoilt in each way.
 
     Attributes:
-        truncate: it ends within the person.
+        truncate: the camera looks past the person, so that the picture ends within them.
+        cut: some of the person is hidden beyond a plane (see ``synth.cut``).
         scene: things hide the person or are held, worn, or a second person is near.
         floor: there is a floor, and some of it around the feet is taken for the person.
         objects: what is held or worn is taken for the person, where there is any.
@@ -75,6 +89,7 @@ class Spoiling:
     """
 
     truncate: float = 0.12
+    cut: float = 0.4
     scene: float = 0.4
     floor: float = 0.4
     objects: float = 0.6
@@ -108,7 +123,7 @@ def training_window(
         if not clothes:
             person = PosedPerson(person.body)
         preset = random_preset(rng)
-        places = dataclasses.replace(_PLACES, truncated=0.0 if spoiling is None else spoiling.truncate)
+        places = _VALID_PLACES if spoiling is None else _random_places(rng, spoiling)
         camera = _cropped(random_camera(rng, person.body, places, preset, "camera"), person)
         if camera is None:
             continue
@@ -121,12 +136,22 @@ def training_window(
         if errors:
             depth = sense(depth, rendering.material, camera, model, rng)
         mask, labels = _segment(rng, rendering, camera.fx, background, depth, spoiling)
+        if spoiling is not None and rng.random() < spoiling.cut:
+            mask &= cut_plane(rng, random_cut(rng), person.joints, camera).keeps(depth, camera)
         window = make_window(depth, mask, camera)
         known = mask & (labels > 0) & (labels != UNLABELLED)
-        if window is not None and np.count_nonzero(known) > _FEWEST // 2:
+        if window is None or np.count_nonzero(window.inputs[1]) < _FEWEST_IN_WINDOW:
+            continue
+        if np.count_nonzero(known) > _FEWEST // 2:
             joints = joint_places(window, person.joints, camera)
             return LabelledWindow(window.inputs, window.labels_from_image(labels, UNLABELLED), joints)
     raise InputError(f"no person could be drawn in 20 tries (seed {seed}, index {index})")
+
+
+def _random_places(rng: np.random.Generator, spoiling: Spoiling) -> CameraRange:
+    places = _PLACES[int(rng.choice(len(_PLACES), p=[share for share, _ in _PLACES]))][1]
+    roll = _ASKEW_RAD if rng.random() < _ASKEW else _ROLL_RAD
+    return dataclasses.replace(places, roll_rad=roll, truncated=spoiling.truncate)
 
 
 @functools.lru_cache(maxsize=1)

@@ -17,6 +17,8 @@ from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.geometry.transforms import look_at
 from depthmocap.settings import check_seed
+from depthmocap.synth.cut import CUTS, Cut, cut_plane
+from depthmocap.synth.motion.beyond import FAMILIES, Family
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, PostureSource, Variation, posture_source
 from depthmocap.synth.people.bodies import random_dressed
 from depthmocap.synth.render import PosedPerson, Rendering, render_person
@@ -56,6 +58,7 @@ class CameraRange:
         aim_m: deviation of the point they look at from the body's middle.
         roll_rad: deviation of the roll; UBC3V's layout cannot store any.
         truncated: share of cameras that look past the person, so that the picture ends within them.
+        steepest_deg: none looks down or up more steeply, 90 for straight down; those that would stand farther off.
     """
 
     distance_m: tuple[float, float] = (1.5, 4.0)
@@ -63,6 +66,7 @@ class CameraRange:
     aim_m: float = 0.1
     roll_rad: float = 0.0
     truncated: float = 0.0
+    steepest_deg: float = 65.38
 
     def __post_init__(self) -> None:
         for name in _LEAST_M:
@@ -79,6 +83,8 @@ class CameraRange:
                 )
         if not 0 <= self.truncated <= 1:
             raise InputError(f"--truncated must be from 0 to 1, got {self.truncated}")
+        if not 0 < self.steepest_deg <= 90:
+            raise InputError(f"--steepest-deg must be more than 0 and at most 90, got {self.steepest_deg}")
 
 
 #: Deviation of the aim (metres) of a camera that looks past the person.
@@ -97,8 +103,8 @@ def random_camera(
     height = low[2] + rng.uniform(*places.height_m) - centre[2]
     nearest, farthest = places.distance_m
     farthest = max(min(farthest, sensor.range_m[1] - _REACH_M), nearest)
-    distance = max(rng.uniform(nearest, farthest), abs(height) * 1.1)
-    ground = np.sqrt(distance**2 - height**2)
+    distance = max(rng.uniform(nearest, farthest), abs(height) / np.sin(np.deg2rad(places.steepest_deg)))
+    ground = np.sqrt(max(distance**2 - height**2, 0.0))
     eye = centre + np.array([ground * np.sin(azimuth), -ground * np.cos(azimuth), height])
     past = places.truncated > 0 and rng.random() < places.truncated
     aim = centre + rng.normal(0, _PAST_M if past else places.aim_m, 3)
@@ -124,6 +130,10 @@ class Recipe:
         held_out_clothes: everybody wears the family of garments that is kept out of training.
         seated: everybody sits.
         hands_on_body: everybody who can lays a hand or both on themselves: folded arms, hands on hips, at the chin.
+        family: everybody is in a posture of a family that recordings hardly show: "floor" lying, kneeling, crawling,
+            "acrobatic" kicks, splits, scales, bends, "air" any way up.
+        cut: of everybody all is hidden that lies below the knees, thighs, hips or chest, above the waist or the neck,
+            to one side, or beyond an edge of the picture.
     """
 
     subset: Subset = "hard"
@@ -138,11 +148,16 @@ class Recipe:
     held_out_clothes: bool = False
     seated: bool = False
     hands_on_body: bool = False
+    family: Family | None = None
+    cut: Cut | None = None
 
     def __post_init__(self) -> None:
-        for option, value, known in (("subset", self.subset, get_args(Subset)), ("split", self.split, get_args(Split))):
+        for option, value, known in (
+            ("subset", self.subset, get_args(Subset)), ("split", self.split, get_args(Split)),
+            ("family", self.family, (*FAMILIES, None)), ("cut", self.cut, (*CUTS, None)),
+        ):  # fmt: skip
             if value not in known:
-                raise InputError(f"--{option} takes {', '.join(known)}, got {value!r}")
+                raise InputError(f"--{option} takes {', '.join(filter(None, known))}, got {value!r}")
         if self.views < 1:
             raise InputError(f"--views must be at least 1, got {self.views}")
         if not self.sensors:
@@ -169,6 +184,12 @@ BENCH: dict[str, Recipe] = {
     "new sensor": dataclasses.replace(_BENCH, sensors=(HELD_OUT_SENSOR,)),
     "seated": dataclasses.replace(_BENCH, seated=True),
     "hands on body": dataclasses.replace(_BENCH, hands_on_body=True),
+    "floor": dataclasses.replace(_BENCH, family="floor"),
+    "acrobatic": dataclasses.replace(_BENCH, family="acrobatic"),
+    "overhead": dataclasses.replace(
+        _BENCH, cameras=CameraRange(distance_m=(0.5, 1.5), height_m=(2.3, 3.5), roll_rad=0.03, steepest_deg=90.0)
+    ),
+    **{f"cut {cut}": dataclasses.replace(_BENCH, cut=cut) for cut in CUTS},
 }
 
 
@@ -205,6 +226,7 @@ def draw_sample(rng: np.random.Generator, recipe: Recipe, postures: PostureSourc
     scene = None
     if settings != OFF:
         scene = random_scene(rng, person, cameras, settings, lambda rng: random_person(rng, "open", postures))
+    cut_seed = int(rng.integers(2**31)) if recipe.cut is not None else 0
     views = []
     for camera, preset in zip(cameras, presets, strict=True):
         rendering = see(person, scene, camera)
@@ -212,7 +234,14 @@ def draw_sample(rng: np.random.Generator, recipe: Recipe, postures: PostureSourc
         if recipe.noise != "none":
             model = preset.model if recipe.noise == "sensor" else random_model(rng, preset)
             depth = sense(depth, rendering.material, camera, model, rng)
-        views.append(View(camera, depth, rendering.person & (depth > 0), rendering.labels))
+        mask, labels = rendering.person & (depth > 0), rendering.labels
+        if recipe.cut is not None:
+            # Of a generator that every view starts anew: one table hides the same of a person from all cameras.
+            plane = cut_plane(np.random.default_rng(cut_seed), recipe.cut, person.joints, camera)
+            hidden = rendering.person & ~plane.keeps(depth, camera)
+            mask &= ~hidden
+            depth, labels = np.where(hidden, 0, depth), np.where(hidden, 0, labels)
+        views.append(View(camera, depth, mask, labels))
     return Sample(tuple(views), person.joints, group)
 
 
@@ -224,9 +253,11 @@ class Sampler:
         self.recipe, self.seed = recipe, seed
         variation = TRAINING_VARIATION if recipe.vary else Variation(mirror=0.5)
         if recipe.seated:
-            variation = dataclasses.replace(variation, sit=1.0, as_recorded=0.0)
+            variation = dataclasses.replace(variation, sit=1.0, as_recorded=0.0, beyond=0.0)
         if recipe.hands_on_body:
-            variation = dataclasses.replace(variation, touch=1.0, as_recorded=0.0)
+            variation = dataclasses.replace(variation, touch=1.0, as_recorded=0.0, beyond=0.0)
+        if recipe.family is not None:
+            variation = Variation(mirror=0.5, beyond=1.0, family=recipe.family)
         self._postures = posture_source(recipe.postures, recipe.split, recipe.subset == "easy", variation)
 
     def __call__(self, index: int) -> Sample:

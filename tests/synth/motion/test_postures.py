@@ -271,7 +271,8 @@ def test_a_share_of_postures_stays_as_recorded() -> None:
 def test_walking_and_running_people_keep_their_limbs_and_stand() -> None:
     prior = posture_source(None, "train", simple=True, variation=TRAINING_VARIATION)
     assert isinstance(prior, PosturePrior)
-    assert prior.variation == dataclasses.replace(TRAINING_VARIATION, limb=0.0, tilt=0.0, sit=0.0, touch=0.0)
+    nothing = dict.fromkeys(("limb", "tilt", "sit", "touch", "beyond"), 0.0)
+    assert prior.variation == dataclasses.replace(TRAINING_VARIATION, **nothing)
 
 
 def test_simple_clips_alone() -> None:

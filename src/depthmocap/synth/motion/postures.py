@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import importlib.resources
 import logging
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ from depthmocap.body.posture import (
     world_rotations,
 )
 from depthmocap.errors import InputError
+from depthmocap.synth.motion.beyond import Family, beyond_recorded
 from depthmocap.synth.motion.clips.motion import reason
 from depthmocap.synth.motion.limits import bone_axis
 from depthmocap.synth.motion.mocap import Clip, ClipFolder, SkippedClip, check_any_read, without_heading
@@ -67,6 +69,8 @@ class Variation:
         sit: share of bodies whose legs are those of somebody who sits.
         touch: share of bodies that lay one or both hands on themselves.
         as_recorded: share to which nothing of all this is done but mirroring.
+        beyond: share in whose place there are postures that no recording shows (see ``motion.beyond``).
+        family: of which these are; by default of any.
     """
 
     mirror: float = 0.5
@@ -77,21 +81,28 @@ class Variation:
     sit: float = 0.0
     touch: float = 0.0
     as_recorded: float = 0.0
+    beyond: float = 0.0
+    family: Family | None = None
 
     def of(self, simple: bool) -> Variation:
         """The same for people who walk and run: they keep their limbs and stand."""
-        return dataclasses.replace(self, limb=0.0, tilt=0.0, sit=0.0, touch=0.0) if simple else self
+        return dataclasses.replace(self, limb=0.0, tilt=0.0, sit=0.0, touch=0.0, beyond=0.0) if simple else self
 
     def of_one(self, rng: np.random.Generator) -> Variation:
-        """What is done to one posture: all of it, or mirroring alone."""
-        if self.as_recorded and rng.random() < self.as_recorded:
+        """What is done to one posture: mirroring alone, going beyond it, or all the rest."""
+        if not (self.as_recorded or self.beyond):
+            return self
+        kind = rng.random()
+        if kind < self.as_recorded:
             return Variation(mirror=self.mirror)
-        return self
+        if kind < self.as_recorded + self.beyond:
+            return Variation(mirror=self.mirror, beyond=1.0, family=self.family)
+        return dataclasses.replace(self, as_recorded=0.0, beyond=0.0)
 
 
 #: For training: more postures than were recorded, beside as many as they were, which are what most people do.
 TRAINING_VARIATION = Variation(
-    mirror=0.5, recombine=0.25, noise_rad=0.06, limb=0.2, tilt=0.12, sit=0.12, touch=0.3, as_recorded=0.5
+    mirror=0.5, recombine=0.25, noise_rad=0.06, limb=0.2, tilt=0.12, sit=0.12, touch=0.3, as_recorded=0.5, beyond=0.2
 )
 
 
@@ -183,7 +194,9 @@ def _vary(posture: Float[ndarray, "20 3"], variation: Variation, rng: np.random.
         posture = mirror_posture(posture)
     posture = posture + rng.normal(0, variation.noise_rad, posture.shape)
     # By generators of their own, so that nothing else of a seed's people depends on these.
-    for share, change in ((variation.sit, seated), (variation.touch, hands_on_body)):
+    go_beyond = functools.partial(beyond_recorded, family=variation.family)
+    changes = ((variation.sit, seated), (variation.touch, hands_on_body), (variation.beyond, go_beyond))
+    for share, change in changes:
         (own,) = rng.spawn(1)
         if own.random() < share:
             posture = change(posture, own)
