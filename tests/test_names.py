@@ -60,6 +60,11 @@ def test_rig_json_with_such_a_name_is_refused_and_one_with_an_odd_name_is_read(t
         path.write_text(json.dumps(document), encoding="utf-8")
         with pytest.raises(InputError, match=r"rig.json.* (camera's name|half of a surrogate pair)"):
             load_rig(path)
+    for name in (None, True, ["a"], {"a": 1}):
+        document["cameras"][0]["name"] = name
+        path.write_text(json.dumps(document), encoding="utf-8")
+        with pytest.raises(InputError, match=r"rig.json: a camera's name must be text, got"):
+            load_rig(path)
 
 
 def test_a_camera_spec_with_such_a_name_is_refused(tmp_path: Path) -> None:

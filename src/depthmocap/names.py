@@ -42,8 +42,11 @@ def check_camera_name(name: str) -> None:
     """See that a name can be a camera's.
 
     Raises:
-        InputError: when it cannot be a folder's name on every system, or means something else there or in a recording.
+        InputError: when it is no text, cannot be a folder's name on every system, or means something else there or in
+            a recording.
     """
+    if not isinstance(name, str):  # as files may have it
+        raise InputError(f"a camera's name must be text, got {name!r}")
     if fault := _fault(name):
         raise InputError(f"{name!r} {fault}, so that it cannot be a camera's name: call it {safe_name(name)!r}")
 

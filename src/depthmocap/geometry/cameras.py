@@ -183,12 +183,13 @@ def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
     distortion = array(entry.get("distortion", [0.0] * 5), (5,), f"{where}: distortion [k1, k2, p1, p2, k3]").tolist()
     pose = array(entry.get("world_from_camera", np.eye(4).tolist()), (4, 4), f"{where}: world_from_camera")
     k1, k2, p1, p2, k3 = distortion
+    name = str(entry["name"]) if type(entry["name"]) is int else entry["name"]
     try:
-        check_camera_name(str(entry["name"]))
+        check_camera_name(name)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     camera = DepthCamera(
-        str(entry["name"]), width, height, **numbers, world_from_camera=pose,
+        name, width, height, **numbers, world_from_camera=pose,
         distortion=(k1, k2, p1, p2, k3), depth_unit_m=unit,
     )  # fmt: skip
     check_camera(camera, where)
