@@ -108,6 +108,8 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
         write_file(Path("/dev/null"), "")
     for name in (".a.part-1.json", ".b.part-22", ".c.part", "d.part-1", ".e.json"):
         (tmp_path / name).touch()
+    remove_unfinished(tmp_path, tmp_path / "a.json")
+    assert not (tmp_path / ".a.part-1.json").exists() and (tmp_path / ".b.part-22").exists()
     remove_unfinished(tmp_path)
     left = {each.name for each in tmp_path.iterdir()}
     assert left == {".c.part", "d.part-1", ".e.json", "folder", "precious", "link"}

@@ -26,7 +26,9 @@ def writing(path: Path) -> Iterator[None]:
 
 
 #: Names under which files are written until they are whole.
-_UNFINISHED = re.compile(r"\..*\.part-\d+(\..*)?")
+_UNFINISHED = re.compile(r"\.(.*)\.part-\d+(\..*)?")
+#: Letters of a file's name that such a name has at most: names have an end.
+_KEPT = 60
 
 
 @contextlib.contextmanager
@@ -37,7 +39,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         InputError: when it cannot be written; of an ``OSError`` within, too.
     """
-    unfinished = path.with_name(f".{path.stem[:60]}.part-{os.getpid()}{path.suffix}")
+    unfinished = path.with_name(f".{path.stem[:_KEPT]}.part-{os.getpid()}{path.suffix}")
     with writing(path):
         _check_replaceable(path)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -129,11 +131,19 @@ class LineFile:
         self._file.close()
 
 
-def remove_unfinished(folder: Path) -> None:
-    """Remove what a killed process left of files that it was :func:`replacing` in a folder that nobody else writes."""
-    for path in folder.iterdir():
-        if _UNFINISHED.fullmatch(path.name) and (path.is_symlink() or path.is_file()):
-            with contextlib.suppress(OSError):
+def remove_unfinished(folder: Path, of: Path | None = None) -> None:
+    """Remove what a killed process left of files that it was :func:`replacing`: in a folder that nobody else writes, or
+    ``of`` one file in it that nobody else does.
+
+    Raises:
+        InputError: when the folder cannot be read.
+    """
+    with writing(folder):
+        names = list(folder.iterdir())
+    for path in names:
+        found = _UNFINISHED.fullmatch(path.name)
+        if found and (of is None or (found[1], found[2] or "") == (of.stem[:_KEPT], of.suffix)):
+            with contextlib.suppress(OSError):  # a folder is not ours
                 path.unlink()
 
 

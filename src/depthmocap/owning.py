@@ -85,6 +85,7 @@ def own_file(path: Path) -> Iterator[None]:
         InputError: as :func:`own_folder`.
     """
     with _made(path.parent), _locked(path.with_name(f".{path.name}{LOCK_FILE}"), path):
+        remove_unfinished(path.parent, path)
         yield
 
 

@@ -161,6 +161,7 @@ def test_one_run_at_a_time(tmp_path: Path) -> None:
     with own_folder(folder), pytest.raises(InputError, match=r"is being written by process \d+ on"):
         run(tmp_path)
     (folder / ".lock").write_text("process 1 on a machine that lost its power")
+    (folder / ".settings.part-1.json").write_text('{"recipe":')
     run(tmp_path)
     assert not (folder / ".lock").exists()
 

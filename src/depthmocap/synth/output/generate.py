@@ -29,7 +29,7 @@ from depthmocap import __version__
 from depthmocap.console import Terminal
 from depthmocap.cores import usable_cores
 from depthmocap.errors import InputError
-from depthmocap.output import write_file, writing
+from depthmocap.output import write_file
 from depthmocap.owning import LOCK_FILE, own_folder
 from depthmocap.settings import check_seed, plain_settings, read_settings
 from depthmocap.synth.output.card import CardRow, card_stride, write_card
@@ -131,15 +131,13 @@ def _check_storable(recipe: Recipe) -> None:
 def _make_set(settings: SynthSettings, cluster: RayCluster | None, console: Console) -> Path:
     recipe = settings.recipe
     folder = settings.out / f"{recipe.subset}-pose" / recipe.split
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        if not (folder / "settings.json").exists() and (found := _others(folder)):
-            raise InputError(
-                f"{folder} holds files of something else ({', '.join(found[:3])}) and no settings.json: "
-                "choose another --out or empty it"
-            )
     try:
         with own_folder(folder):
+            if not (folder / "settings.json").exists() and (found := _others(folder)):
+                raise InputError(
+                    f"{folder} holds files of something else ({', '.join(found[:3])}) and no settings.json: "
+                    "choose another --out or empty it"
+                )
             identity = _claim(folder, settings)
             target = open_folder(folder, settings.format)
             samples = max(settings.samples, target.begun)
