@@ -64,6 +64,16 @@ def test_kernels_without_a_cache(tmp_path: Path, nowhere: Path) -> None:
     assert not Path(done.stdout.strip()).exists()  # it ended with the process
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="needs limits of the size of files")
+def test_a_cache_without_room(tmp_path: Path) -> None:
+    limited = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+    kept = _KERNEL.replace("assert any", "assert not any")
+    done = _run(limited + kept, tmp_path, tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    assert done.returncode == 0, done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert f"Numba cannot keep what it compiles in {tmp_path / 'cache'}" in done.stderr
+
+
 def test_no_temporary_folder_either(tmp_path: Path, nowhere: Path) -> None:
     code = "import sys, tempfile; tempfile.tempdir = sys.argv[0] + '/none'; from depthmocap.kernels import skin"
     done = _run(code, tmp_path, nowhere)

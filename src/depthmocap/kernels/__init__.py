@@ -3,10 +3,38 @@
 No file uses kernels of another: Numba's cache knows of changes in a kernel's own file alone.
 """
 
+from __future__ import annotations
+
+import functools
+import logging
+from typing import Any
+
 import numba
 from numba.core import config
+from numba.core.caching import FunctionCache
 
 from depthmocap.caches import see_to_home, temporary_cache
+
+_save = FunctionCache.save_overload
+
+
+def _save_if_there_is_room(self: FunctionCache, sig: Any, data: Any) -> None:
+    """As Numba does: what is compiled runs, whether it can be kept or not."""
+    try:
+        _save(self, sig, data)
+    except OSError as error:
+        _tell(str(self.cache_path), error.strerror or str(error))
+
+
+@functools.cache
+def _tell(place: str, reason: str) -> None:
+    logging.getLogger("depthmocap").warning(
+        "Numba cannot keep what it compiles in %s (%s): free some space, or set NUMBA_CACHE_DIR to another folder",
+        place, reason,
+    )  # fmt: skip
+
+
+FunctionCache.save_overload = _save_if_there_is_room
 
 
 def _probe() -> None:
