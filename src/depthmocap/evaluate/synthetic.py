@@ -16,12 +16,13 @@ from rich.table import Table
 from depthmocap.body.regions import REGION_NAMES, UNLABELLED
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
+from depthmocap.evaluate.facing import facing_numbers
 from depthmocap.evaluate.protocol import joint_numbers
 from depthmocap.frames import FrameSet, View
 from depthmocap.pose.cloud import LabelledView, merge_views
 from depthmocap.pose.cloud import Labels as Labels
 from depthmocap.pose.estimate import JointEstimator
-from depthmocap.report.metrics import PixelAccuracy, joint_errors_cm, joint_metrics, reliability
+from depthmocap.report.metrics import CONFIDENCE_BINS, PixelAccuracy, joint_errors_cm, joint_metrics, reliability
 
 
 def _network_labels(classifier: Classifier, views: list[View], accuracy: PixelAccuracy) -> Iterator[LabelledView]:
@@ -62,6 +63,7 @@ def measure(
     estimates: list[ndarray] = []
     truths: list[ndarray] = []
     confidences: list[ndarray] = []
+    eyes: list[ndarray] = []
     spent_ms: list[float] = []
     samples = most = 0
     digest = hashlib.sha256()  # of what is measured against, so that results of the same frames are known
@@ -86,6 +88,7 @@ def measure(
             estimates.append(joints)
             confidences.append(confidence)
             truths.append(frame.true_joints)
+            eyes.append(chosen[0].view.camera.world_from_camera[:3, 3])
         for view, labels, _, _ in parts:
             if view.labels is not None and view.mask is not None:
                 image_accuracy.add(view.labels[view.mask], labels[view.mask])
@@ -95,7 +98,8 @@ def measure(
         raise InputError(f"no sample has {views} views: the data have labels of {most} cameras")
     pixels = image_accuracy if classifier is None else window_accuracy
     found, true = np.stack(estimates), np.stack(truths)
-    calibration = reliability(np.stack(confidences).astype(np.float64), joint_errors_cm(found, true))
+    sure = np.stack(confidences).astype(np.float64)
+    calibration = reliability(sure, joint_errors_cm(found, true))
     return {
         "labels": "true" if classifier is None else "network", "views": views, "frames": samples,
         "true_joints": digest.hexdigest(),
@@ -105,8 +109,25 @@ def measure(
         "side_swap": pixels.side_swap,
         "image_pixel_accuracy": image_accuracy.pixel_accuracy,
         **joint_numbers(joint_metrics(found, true), calibration),
+        **facing_numbers(found, true, sure, np.stack(eyes) if views == 1 else None),
         "ms_per_frame": float(np.median(spent_ms)),
     }  # fmt: skip
+
+
+def _told_surely(reliability: dict[str, Any]) -> dict[str, str]:
+    """Joints of the highest bin of confidence: how many there are, and how many of those lie within 10 cm."""
+    joints = reliability["joints"]
+    if not joints or reliability["confidence"][-1] < 1 - 1 / CONFIDENCE_BINS:
+        return {"told at 0.9 or more": "none"}
+    share = joints[-1] / sum(joints)
+    return {"told at 0.9 or more (within 10 cm)": f"{share:.1%} ({reliability['within_10cm'][-1]:.1%})"}
+
+
+def _by_heading(numbers: dict[str, Any]) -> dict[str, str]:
+    shares = numbers.get("turned_round_by_heading")
+    if shares is None:
+        return {}
+    return {"… by eighths from facing it": " ".join("–" if share is None else f"{share:.0%}" for share in shares)}
 
 
 def print_numbers(title: str, numbers: dict[str, Any], console: Console) -> None:
@@ -121,6 +142,9 @@ def print_numbers(title: str, numbers: dict[str, Any], console: Console) -> None
         "pixels on the other side": f"{numbers['side_swap']:.2%}",
         "mean joint error": f"{numbers['mean_joint_error_cm']:.2f} cm",
         "within 10 cm": f"{numbers['within_10cm']:.1%}",
+        **_told_surely(numbers["reliability"]),
+        "turned round (surely)": f"{numbers['turned_round']:.1%} ({numbers['turned_round_surely']:.1%})",
+        **_by_heading(numbers),
         "time a sample (median)": f"{numbers['ms_per_frame']:.1f} ms",
     }
     for name, value in rows.items():
