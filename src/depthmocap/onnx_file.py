@@ -32,6 +32,11 @@ def open_network(source: Path, missing: str) -> onnxruntime.InferenceSession:
     # The runtime itself opens no file whose path is not UTF-8.
     data = read_bytes(source, _LARGEST, missing)
     try:
-        return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        # Names that are no text are told of when they are asked for.
+        _ = [end.name for end in (*session.get_inputs(), *session.get_outputs())]
+        _ = session.get_modelmeta().custom_metadata_map
     except Exception as error:  # the runtime's errors share no public base class
-        raise InputError(f"{source} is not a readable ONNX network: {str(error).splitlines()[0]}") from None
+        told = (str(error) or type(error).__name__).splitlines()[0]
+        raise InputError(f"{source} is not a readable ONNX network: {told}") from None
+    return session

@@ -3,7 +3,6 @@
 import dataclasses
 
 import numpy as np
-import onnx
 import pytest
 from onnx import TensorProto, helper
 
@@ -177,13 +176,21 @@ def test_files_that_are_no_voting_network(tmp_path):
         VotesEstimator(Classifier().path)
 
 
-def test_a_network_of_an_earlier_version_is_refused(tmp_path):
-    parts = helper.make_tensor_value_info("parts", TensorProto.FLOAT, ["n", "views", 43, 16])
+@pytest.mark.parametrize(
+    ("shape", "spoil", "told"),
+    [
+        (["n", "views", 43, 16], (b"", b""), "reads 43 parts, and this version has 61"),
+        (["n"], (b"", b""), "reads 0 parts"),
+        (["n", "views", 61, 16], (b"sure", b"s\xffre"), "not a readable ONNX network"),
+    ],
+)
+def test_a_network_of_an_earlier_version_or_spoilt_is_refused(tmp_path, shape, spoil, told):
+    parts = helper.make_tensor_value_info("parts", TensorProto.FLOAT, shape)
     outputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in ("joints", "sure")]
     nodes = [helper.make_node("Identity", ["parts"], [output.name]) for output in outputs]
     model = helper.make_model(
         helper.make_graph(nodes, "early", [parts], outputs), ir_version=8, opset_imports=[helper.make_opsetid("", 18)]
     )
-    onnx.save(model, tmp_path / "votes.onnx")
-    with pytest.raises(InputError, match="reads 43 parts, and this version has 61"):
+    (tmp_path / "votes.onnx").write_bytes(model.SerializeToString().replace(*spoil))
+    with pytest.raises(InputError, match=told):
         VotesEstimator(tmp_path / "votes.onnx")

@@ -66,7 +66,8 @@ def voting_session(source: Path) -> onnxruntime.InferenceSession:
     names = [node.name for node in session.get_inputs()], [node.name for node in session.get_outputs()]
     if names != (["parts"], ["joints", "sure"]):
         raise InputError(f"{source} is not a voting network: its inputs and outputs are {names}")
-    if (parts := session.get_inputs()[0].shape[2]) != PART_COUNT:
+    shape = session.get_inputs()[0].shape
+    if (parts := shape[2] if len(shape) > 2 else 0) != PART_COUNT:
         raise InputError(f"{source} reads {parts} parts, and this version has {PART_COUNT}: train it anew")
     return session
 

@@ -80,9 +80,10 @@ def _parse_asf(text: str) -> AsfSkeleton:
         order += [child for child, parent in parents.items() if parent == name]
     if missing := (set(order) - set(bones)) | (set(bones) - set(order)):
         raise ValueError(f"bone {min(missing)} is not in both :bonedata and :hierarchy")
-    vectors = {
-        name: np.array(bone["direction"], dtype=float) * float(bone["length"][0]) for name, bone in bones.items()
-    }
+    with np.errstate(over="ignore", invalid="ignore"):  # who takes postures of it sees to lengths
+        vectors = {
+            name: np.array(bone["direction"], dtype=float) * float(bone["length"][0]) for name, bone in bones.items()
+        }
     channels = [tuple(word.upper() for word in bones[name].get("dof", [])) for name in order]
     if unknown := {channel for each in channels for channel in each} - _KNOWN_CHANNELS:
         raise ValueError(f"channel {min(unknown)} is not known")
