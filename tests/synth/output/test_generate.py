@@ -18,6 +18,7 @@ from rich.console import Console
 
 from depthmocap import InputError
 from depthmocap.cli import main
+from depthmocap.datasets import ubc3v_write
 from depthmocap.datasets.shards import ShardReader, ShardWriter
 from depthmocap.datasets.ubc3v import Section, kinect2_camera, sections
 from depthmocap.frames import View
@@ -111,7 +112,7 @@ def test_a_set_grows_and_never_shrinks(tmp_path: Path, layout: str) -> None:
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_a_full_disk_is_told_and_the_set_goes_on(tmp_path: Path, layout: str, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = tree(run(tmp_path / "whole", layout))
-    owner, name = (ShardWriter, "_add") if layout == "shards" else (Path, "write_bytes")
+    owner, name = (ShardWriter, "_add") if layout == "shards" else (ubc3v_write, "_write")
     write, left = getattr(owner, name), iter(range(9))
 
     def write_until_full(*arguments) -> None:
