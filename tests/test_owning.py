@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import os
 import signal
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from depthmocap.cli import _COMMANDS
 from depthmocap.errors import InputError
 from depthmocap.output import remove_unfinished, replacing, write_file
 from depthmocap.owning import own_file, own_folder, owns
@@ -86,6 +88,18 @@ def test_a_command_owns_what_its_settings_name(tmp_path: Path) -> None:
 
     assert command(settings, more=2) == 2
     assert list(tmp_path.iterdir()) == []
+
+
+def test_every_command_owns_what_it_writes() -> None:
+    pytest.importorskip("torch")
+    pytest.importorskip("anny")
+    # New files alone; a recording folder, which its writer owns; a folder for each split.
+    otherwise = {"record", "recover", "convert", "synth"}
+    for command in _COMMANDS:
+        module = importlib.import_module(command.module)
+        names = {field.name for field in dataclasses.fields(getattr(module, command.settings))}
+        if names & {"out", "json", "report", "csv"} and command.words not in otherwise | {"demo"}:  # demo runs run
+            assert hasattr(getattr(module, command.function), "__wrapped__"), command.words
 
 
 def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:

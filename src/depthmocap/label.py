@@ -18,6 +18,7 @@ from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.output import check_outputs, write_file
+from depthmocap.owning import owns
 from depthmocap.settings import check_above_0
 
 #: Focal length as a share of the width where none is given: a horizontal field of view of 70°, as Kinect 2's.
@@ -110,6 +111,7 @@ def _camera(settings: LabelSettings, shape: tuple[int, ...]) -> DepthCamera:
     return DepthCamera("camera", width, height, fx, settings.fy or fx, cx, cy)
 
 
+@owns(files=("out",))
 def label_image(settings: LabelSettings) -> UInt8[ndarray, "h w"]:
     """Label the image and write the results; returns the labels.
 

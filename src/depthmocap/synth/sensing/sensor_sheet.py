@@ -18,6 +18,7 @@ from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.geometry.transforms import look_at
 from depthmocap.output import replacing
+from depthmocap.owning import owns
 from depthmocap.settings import check_seed
 from depthmocap.synth.motion.perform import pose_sequence
 from depthmocap.synth.motion.sequence import demo_motion
@@ -56,6 +57,7 @@ class SensorSheetSettings:
         check_seed(self.seed)
 
 
+@owns(files=("out",))
 def write_sensor_sheet(settings: SensorSheetSettings) -> None:
     """The command: see :func:`sensor_sheet`."""
     sensor_sheet(settings.out, settings.seed)
