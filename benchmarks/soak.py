@@ -248,7 +248,7 @@ def tables(numbers: dict[str, Any]) -> list[Table]:
     row("latency from the last frame's arrival, p50", f"{latency['p50']:.1f} ms")
     row("… p95", f"{latency['p95']:.1f} ms", f"≤ {P95_GOAL_MS:g}", latency["p95"] <= P95_GOAL_MS)
     row("skew of a set, p50; p95", f"{skew['p50']:.1f}; {skew['p95']:.1f} ms")
-    row("sets with somebody", f"{numbers['poses_with_somebody'] / max(numbers['poses'], 1):.1%}")
+    row("sets with somebody", f"{1 - numbers['gaps'] / max(numbers['frames'], 1):.1%}")
     row("memory after the warm-up; at the end", f"{memory['mb_after_warm_up']:.0f}; {memory['mb_at_the_end']:.0f} MB")
     row("… growth", f"{growth:+.2f} MB a minute", f"≤ {GROWTH_GOAL_MB_MIN:g}", growth <= GROWTH_GOAL_MB_MIN)
     if recording := numbers.get("recording"):

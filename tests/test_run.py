@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthmocap import InputError, RunSettings, load_pipeline, offline, open_source, run
+from depthmocap import InputError, RunSettings, load_pipeline, open_source, run
 from depthmocap.body.model import REST_POSTURE
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.capture.recording import RecordingWriter
@@ -19,6 +19,7 @@ from depthmocap.classify.runtime import packaged_weights
 from depthmocap.cli import main
 from depthmocap.export import CsvWriter, read_bvh, read_csv, read_trc, write_trc
 from depthmocap.export.files import PICTURES, RESULTS
+from depthmocap.export.summary import read_summary
 from depthmocap.geometry import DepthCamera, Rig, load_rig, look_at, save_rig
 from depthmocap.offline import _way_out
 from depthmocap.synth.render import render_body
@@ -114,8 +115,8 @@ def test_frames_without_a_person_are_gaps(recording, tmp_path):
     for camera in ("cam0", "cam1", "cam2"):
         sorted((path / camera).glob("*.png"))[3].unlink()
     summary = run(RunSettings(path, tmp_path / "out", segment="none", report=False))
-    assert summary["gap_frames"] == [3]
-    assert 3 in summary["bvh_held_frames"]
+    assert summary["gap_frames"] == [[3, 3]]
+    assert summary["bvh_held"] == {joint: [[3, 3]] for joint in JOINTS}
     _, joints, confidence = read_csv(tmp_path / "out" / "pose.csv")
     assert np.isnan(joints[3]).all()
     assert (confidence[3] == 0).all()
@@ -141,7 +142,8 @@ def test_a_failed_run_leaves_no_results_of_an_earlier_one(recording, tmp_path):
     with pytest.raises(InputError, match="no person"):
         run(RunSettings(recording, out, report=False))
     left = {path for path in out.rglob("*") if path.is_file()}
-    assert left <= {out / "pose.csv", *kept}
+    assert left == {out / "pose.csv", out / "summary.json", *(path for path in kept if path.is_file())}
+    assert read_summary(out)["gaps"] == 6
     assert np.isnan(read_csv(tmp_path / "out" / "pose.csv")[1]).all()
 
 
@@ -152,7 +154,7 @@ def test_a_long_pause_costs_the_bvh_alone(recording, tmp_path, capsys):
         last.rename(last.with_name(f"{int(last.stem) + 3600 * 10**9}.png"))
     assert main(["run", str(path), "--out", str(tmp_path / "out"), "--segment", "none"]) == 0
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    (problem,) = [each for each in summary["problems"] if "bvh" in each]
+    (problem,) = [each["text"] for each in summary["problems"] if "bvh" in each["text"]]
     assert "3600 s after frame 4" in problem
     assert "pauses" in capsys.readouterr().err
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {"pose.csv", "pose.trc", "report.html"}
@@ -183,7 +185,7 @@ def test_signals_end_a_run_with_everything_written(recording, tmp_path, monkeypa
         write_trc(*arguments)
 
     monkeypatch.setattr(CsvWriter, "write", write_two)
-    monkeypatch.setattr(offline, "write_trc", write_trc_late)
+    monkeypatch.setattr("depthmocap.export.files.write_trc", write_trc_late)
     assert main(["run", str(recording), "--out", str(out), "--segment", "none", "--smooth", "none"]) == 128 + number
     assert len(read_csv(out / "pose.csv")[0]) == len(read_trc(out / "pose.trc")[0]) == 2
     assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["interrupted"]
@@ -295,8 +297,8 @@ def test_another_rig_than_the_recordings(recording, tmp_path, capsys):
     assert main([*command, "--rig", str(tmp_path / "found.json")]) == 0
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["frames_by_camera"] == {"cam0": 6, "cam1": 6}
-    assert any("left out: cam2" in problem for problem in summary["problems"])
-    assert "error" in plain and "error" not in summary  # the truth is in another world
+    assert any("left out: cam2" in problem["text"] for problem in summary["problems"])
+    assert plain["error"] is not None and summary["error"] is None  # the truth is in another world
     ours, theirs = (read_csv(tmp_path / name / "pose.csv")[1] for name in ("out", "plain"))
     assert np.abs(np.median(ours - theirs, (0, 1)) - [1, 0, 0]).max() < 0.03
     other = tmp_path / "other.json"
@@ -318,6 +320,7 @@ def test_a_filter_that_waits_loses_no_frame_and_keeps_their_times(recording, tmp
         times, joints, confidence = read_csv(out / "pose.csv")
         np.testing.assert_allclose(times, np.arange(6) * 0.1, atol=1e-6)
         assert np.isfinite(joints).all() and (confidence > 0).all()
-        assert summary["error"]["joints_with_truth"] == 6 * len(JOINTS)
+        assert summary["error"] is not None
+        assert summary["error"]["joints_observed"] == 6 * len(JOINTS)
         assert summary["error"]["mean_joint_error_cm"] < 8
         assert summary["smoothing"]["delay_frames"] == (frames if name == "fixed-lag" else 0)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 from rich.table import Table
 
 from depthmocap.capture.open import packaged_recording
 from depthmocap.console import Terminal
+from depthmocap.export.summary import Summary
 from depthmocap.offline import RunSettings, run
 
 
@@ -24,10 +24,11 @@ class DemoSettings:
     out: Path = Path("out/demo")
 
 
-def demo(settings: DemoSettings) -> dict[str, Any]:
+def demo(settings: DemoSettings) -> Summary:
     """Run the demo and tell where things are; returns the summary."""
     console = Terminal()
     summary = run(RunSettings(packaged_recording(), settings.out), console)
+    assert summary["error"] is not None, "the packaged recording has true joints"
     table = Table(title="depthmocap demo", show_header=False)
     table.add_row("frames", f"{summary['frames']} sets of {len(summary['frames_by_camera'])} cameras")
     table.add_row("speed", f"{summary['frames_per_second']:.1f} sets a second")

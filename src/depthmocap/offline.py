@@ -5,7 +5,6 @@ from __future__ import annotations
 import collections
 import contextlib
 import dataclasses
-import platform
 import time
 from pathlib import Path
 from typing import Any, Literal
@@ -24,19 +23,19 @@ from depthmocap.classify.runtime import Classifier
 from depthmocap.console import Terminal
 from depthmocap.ending import finishing
 from depthmocap.errors import InputError
-from depthmocap.export import CsvWriter, write_bvh, write_trc
-from depthmocap.export.files import PeopleFiles, remove_results
+from depthmocap.export.files import NOBODY, PeopleFiles, PoseFiles, remove_results
+from depthmocap.export.summary import Quantiles, Summary, Take, count_problems, problem_lines, unsure_lines
+from depthmocap.export.timeline import LEAST_CONFIDENCE
 from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.geometry import check_placed, load_rig
 from depthmocap.offline_report import Pictures, write_run_report
-from depthmocap.output import write_json
 from depthmocap.owning import owns
 from depthmocap.people.segmenter import PeopleSegmenter
 from depthmocap.pipeline import STAGES, Pipeline, Result
 from depthmocap.pose.agreement import Agreement
 from depthmocap.pose.estimate import load_estimator
 from depthmocap.pose.track import AUTO, Bones, Smoothing, load_filter
-from depthmocap.report.metrics import joint_metrics
+from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
 from depthmocap.text import cameras, joined
 
 
@@ -61,6 +60,7 @@ class RunSettings:
             "none" for --smooth.
         weights: a classifier.onnx of your own.
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
+        least_confidence: joints below it are gaps in pose.trc and are held in pose.bvh; pose.csv has all.
         report: draw report.html and the animated preview.
     """
 
@@ -75,6 +75,7 @@ class RunSettings:
     bones: Bones = "steady"
     weights: Path | None = None
     estimator: str = "votes"
+    least_confidence: float = LEAST_CONFIDENCE
     report: bool = True
 
 
@@ -132,7 +133,7 @@ def load_pipeline(
 
 
 @owns(folder="out")
-def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]:
+def run(settings: RunSettings, console: Console | None = None) -> Summary:
     """Process a recording and write everything; returns the summary. Ctrl-C keeps what was done until then.
 
     Raises:
@@ -142,8 +143,9 @@ def run(settings: RunSettings, console: Console | None = None) -> dict[str, Any]
         return _run(settings, console or Terminal(stderr=True), last)
 
 
-def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) -> dict[str, Any]:
+def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) -> Summary:
     source = open_source(settings.recording, settings.rig)
+    take = Take("run", [settings.recording], source.up, settings.least_confidence)
     with console.status("reading the background and the weights"):
         pipeline = load_pipeline(
             source, settings.segment, settings.smooth, settings.weights, settings.estimator,
@@ -158,6 +160,7 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
 
     rows: list[tuple[Pose, Float[ndarray, "18 3"], dict[str, float]]] = []
     delivered: dict[str, int] = dict.fromkeys(source.rig.names, 0) if isinstance(source, Recording) else {}
+    by_person: collections.Counter[str] = collections.Counter()
     interrupted = False
     agreement = Agreement()
     misplaced: list[str] = []
@@ -169,15 +172,15 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
         TextColumn("{task.fields[rate]}"),
     )  # fmt: skip
     remove_results(settings.out)
-    everybody = PeopleFiles(settings.out, source.up)
-    with CsvWriter(settings.out / "pose.csv") as csv, everybody, Progress(*columns, console=console) as progress:
+    files, everybody = PoseFiles(settings.out, take), PeopleFiles(settings.out, take)
+    with files, everybody, Progress(*columns, console=console) as progress:
         task = progress.add_task("capturing", total=len(source), rate="")
         recent_ms: collections.deque[float] = collections.deque(maxlen=30)
 
         def finished(pose: Pose) -> None:
             with finishing():
                 frames, result, milliseconds = waiting.popleft()
-                csv.write(pose)
+                files.write(pose)
                 truth = frames.true_joints if frames.true_joints is not None else np.full((len(JOINTS), 3), np.nan)
                 rows.append((pose, truth, milliseconds))
                 if pictures is not None:
@@ -187,9 +190,11 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
             before = time.perf_counter()
             for frames in source:
                 read_ms = (time.perf_counter() - before) * 1e3
+                take.begin(frames.timestamp_ns)
                 result = pipeline(frames)
                 waiting.append((frames, result, {"read": read_ms, **result.milliseconds}))
                 misplaced += agreement(result.cloud)
+                by_person.update(str(person.number) for person in result.people)
                 if settings.people > 1:
                     everybody.write({person.number: person.pose for person in result.people}, delay)
                 if len(waiting) > delay:
@@ -209,32 +214,29 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
             # An interruption may have come between the filter and this list.
             if waiting and waiting[0][0].timestamp_ns == pose.timestamp_ns:
                 finished(pose)
-
-    poses, truths, times = [row[0] for row in rows], [row[1] for row in rows], [row[2] for row in rows]
-    misplaced += agreement.finish()
-    problems = [
-        *dict.fromkeys(misplaced), *getattr(source, "problems", []), *getattr(pipeline.segment, "problems", []),
-    ]  # fmt: skip
-    if interrupted and not poses:
+        misplaced += agreement.finish()
+        files.numbers = {
+            **_numbers([row[2] for row in rows], delivered),
+            "interrupted": interrupted,
+            "smoothing": pipeline.smoothing.describe() if pipeline.smoothing else None,
+            "frames_by_person": dict(by_person),
+            "cameras_apart_cm": {name: 100 * apart_m for name, apart_m in agreement.apart_m().items()},
+            "error": _error([row[0] for row in rows], [row[1] for row in rows]),
+            "problems": count_problems(
+                dict.fromkeys(misplaced), getattr(source, "problems", []), getattr(pipeline.segment, "problems", [])
+            ),
+        }
+    if interrupted and not rows:
         raise KeyboardInterrupt
-    if not poses or all(np.isnan(pose.joints).all() for pose in poses):
-        hint = joined(problems) or _way_out(source, settings.segment)
-        raise InputError(f"{settings.recording}: no person was found in any of {len(poses)} frames: {hint}")
-    write_trc(settings.out / "pose.trc", poses, source.up)
-    held = []
-    try:
-        held = write_bvh(settings.out / "pose.bvh", poses, source.up)
-    except InputError as error:  # everything else is whole
-        problems.append(f"no pose.bvh: {error}")
-    summary = _summary(settings, poses, truths, times, delivered, held, problems)
-    if settings.people > 1:
-        summary["frames_by_person"] = {str(number): count for number, count in sorted(everybody.poses.items())}
-    summary["cameras_apart_cm"] = {name: 100 * apart_m for name, apart_m in agreement.apart_m().items()}
-    summary |= {"interrupted": interrupted, "smoothing": pipeline.smoothing.describe() if pipeline.smoothing else None}
-    write_json(settings.out / "summary.json", summary)
+    summary = files.summary
+    if summary["gaps"] == summary["frames"]:
+        others = [line for line in problem_lines(summary["problems"]) if line != NOBODY]
+        hint = joined(others) or _way_out(source, settings.segment)
+        raise InputError(f"{settings.recording}: no person was found in any of {summary['frames']} frames: {hint}")
     if pictures is not None:
         with console.status("drawing the report"):
-            write_run_report(settings.out, summary, pictures, np.stack(truths), np.stack([p.joints for p in poses]))
+            truths, estimates = np.stack([row[1] for row in rows]), np.stack([row[0].joints for row in rows])
+            write_run_report(settings.out, summary, pictures, truths, estimates)
     _tell(summary, settings.out, console)
     return summary
 
@@ -254,64 +256,36 @@ def _few(problems: list[str], most: int = 4) -> list[str]:
     return problems if len(problems) <= most else [*problems[:most], f"And {len(problems) - most} more of this kind."]
 
 
-def _tell(summary: dict[str, Any], out: Path, console: Console) -> None:
+def _tell(summary: Summary, out: Path, console: Console) -> None:
     """What came of it, and what was wrong."""
     gaps = f", {summary['gaps']} without a person" if summary["gaps"] else ""
     console.print(f"{summary['frames']} frames{gaps}; written to {out}")
-    for problem in _few(summary["problems"]):
+    for problem in _few([*unsure_lines(summary), *problem_lines(summary["problems"])]):
         console.print(f"  {problem}")
 
 
-def _recorded_rate(poses: list[Pose]) -> float:
-    """Frames a second of the recording itself, by its median interval."""
-    intervals = np.diff([pose.timestamp_ns for pose in poses])
-    return float(1e9 / np.median(intervals)) if len(intervals) and np.median(intervals) > 0 else 30.0
-
-
-def _summary(
-    settings: RunSettings,
-    poses: list[Pose],
-    truths: list[Float[ndarray, "18 3"]],
-    times: list[dict[str, float]],
-    delivered: dict[str, int],
-    held: list[int],
-    problems: list[str],
-) -> dict[str, Any]:
-    from depthmocap import __version__
-
-    joints = np.stack([pose.joints for pose in poses])
-    gaps = np.flatnonzero(np.isnan(joints).all((1, 2)))
+def _numbers(times: list[dict[str, float]], delivered: dict[str, int]) -> dict[str, Any]:
+    """How long the frames took, and whose they were."""
     per_frame = np.array([sum(row.values()) for row in times])
-    summary: dict[str, Any] = {
-        "recording": str(settings.recording),
-        "first_timestamp_ns": poses[0].timestamp_ns,
-        "version": __version__,
-        "machine": f"{platform.machine()}, Python {platform.python_version()}",
-        "frames": len(poses),
-        "gaps": len(gaps),
-        "gap_frames": gaps.tolist(),
-        "bvh_held_frames": held,
-        "recorded_frames_per_second": _recorded_rate(poses),
+    if not times:
+        return {"frames_by_camera": delivered}
+
+    def quantiles(values: Float[ndarray, " t"]) -> Quantiles:
+        return {"p50": float(np.median(values)), "p95": float(np.quantile(values, 0.95))}
+
+    return {
         "frames_by_camera": delivered,
+        "seconds": float(per_frame.sum() / 1e3),
         "frames_per_second": float(1e3 / per_frame.mean()),
-        "ms_per_frame": {"p50": float(np.median(per_frame)), "p95": float(np.quantile(per_frame, 0.95))},
-        "ms_per_stage": {
-            stage: {
-                "p50": float(np.median([row[stage] for row in times])),
-                "p95": float(np.quantile([row[stage] for row in times], 0.95)),
-            }
-            for stage in ("read", *STAGES)
-        },
-        "mean_confidence": float(np.mean([pose.confidence.mean() for pose in poses])),
-        "problems": problems,
+        "ms_per_frame": quantiles(per_frame),
+        "ms_per_stage": {stage: quantiles(np.array([row[stage] for row in times])) for stage in ("read", *STAGES)},
     }
-    if not np.isnan(np.stack(truths)).all():
-        metrics = joint_metrics(joints, np.stack(truths))
-        summary["error"] = {
-            "mean_joint_error_cm": metrics.mean_joint_error_cm,
-            "within_10cm": metrics.within_10cm,
-            "per_joint_error_cm": metrics.per_joint_error_cm,
-            "joints_with_truth": metrics.observed,
-            "joints_missing": metrics.missing,
-        }
-    return summary
+
+
+def _error(poses: list[Pose], truths: list[Float[ndarray, "18 3"]]) -> dict[str, Any] | None:
+    """How far the joints are from the true ones, where these are known."""
+    if not poses or np.isnan(np.stack(truths)).all():
+        return None
+    found, true = np.stack([pose.joints for pose in poses]), np.stack(truths)
+    confidence = np.stack([pose.confidence for pose in poses])
+    return joint_numbers(joint_metrics(found, true), reliability(confidence, joint_errors_cm(found, true)))

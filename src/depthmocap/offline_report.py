@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray
 
+from depthmocap.export.summary import Summary, problem_lines, unsure_lines
 from depthmocap.frames import FrameSet
 from depthmocap.geometry.transforms import z_up_from
 from depthmocap.pipeline import Result
@@ -85,7 +85,7 @@ class Pictures:
 
 def write_run_report(
     out: Path,
-    summary: dict[str, Any],
+    summary: Summary,
     pictures: Pictures,
     truths: Float[ndarray, "t 18 3"],
     estimates: Float[ndarray, "t 18 3"],
@@ -94,7 +94,7 @@ def write_run_report(
     sections = [_overview(summary)]
     preview = pictures.preview()
     if preview:
-        animation(preview, summary["recorded_frames_per_second"] / pictures.every, out / "preview.webp")
+        animation(preview, (summary["recorded_frames_per_second"] or 30.0) / pictures.every, out / "preview.webp")
         sections.append(
             ReportSection(
                 "In motion",
@@ -109,7 +109,7 @@ def write_run_report(
             ReportFigure(cloud, "The merged cloud and the skeleton from two sides."),
         )
         sections.append(ReportSection(f"Frame {index}", figures=figures))
-    if "error" in summary:
+    if summary["error"] is not None:
         metrics = joint_metrics(estimates, truths)
         sections.append(
             ReportSection(
@@ -124,7 +124,7 @@ def write_run_report(
     write_report(out / "report.html", "Motion capture report", sections)
 
 
-def _overview(summary: dict[str, Any]) -> ReportSection:
+def _overview(summary: Summary) -> ReportSection:
     stages = ReportTable(
         ("stage", "p50 (ms)", "p95 (ms)"),
         tuple((stage, ms["p50"], ms["p95"]) for stage, ms in summary["ms_per_stage"].items()),
@@ -135,8 +135,9 @@ def _overview(summary: dict[str, Any]) -> ReportSection:
     facts = [
         f"{summary['frames']} frames at {summary['frames_per_second']:.1f} frames a second, reading included; "
         f"{summary['gaps']} frames without a person.",
-        f"Recording: `{summary['recording']}`. Machine: {summary['machine']}. depthmocap {summary['version']}.",
+        f"Recording: `{summary['sources'][0]}`. Machine: {summary['machine']}. depthmocap {summary['version']}.",
     ]
+    facts += unsure_lines(summary)
     if summary["problems"]:
-        facts.append("Noticed:\n" + "\n".join(summary["problems"]))
+        facts.append("Noticed:\n" + "\n".join(problem_lines(summary["problems"])))
     return ReportSection("Overview", tuple(facts), tables=(stages, cameras))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from depth_scene import bands
 
+from depthmocap.body.skeleton import JOINTS
 from depthmocap.capture.health import EQUAL
 from depthmocap.capture.recording import Recording, RecordingWriter
 from depthmocap.capture.stamps import StampSet, fill_gaps, frame_period_ns, group_stamps
@@ -287,15 +288,56 @@ def test_truth_is_the_nearest_row_within_half_a_period(tmp_path: Path) -> None:
     assert [None if joints is None else joints[0, 0] for joints in found] == [0, 1, None, 3, None]
 
 
-def test_truth_may_count_from_the_first_frame(tmp_path: Path) -> None:
-    own = {"cam0": regular(3, EPOCH)}
-    write(tmp_path / "rec", own)
-    write(tmp_path / "zero", {"cam0": regular(3)}, {i * PERIOD: np.full((18, 3), float(i)) for i in range(2)})
-    shutil.copy(tmp_path / "zero" / "truth.csv", tmp_path / "rec")
+def first_joints(recording: Recording) -> list[float | None]:
+    return [None if s.true_joints is None else s.true_joints[0, 0] for s in recording]
+
+
+def test_truth_has_the_frames_timestamps(tmp_path: Path) -> None:
+    stamps = regular(4, EPOCH)
+    write(tmp_path / "rec", {"cam0": stamps}, {stamp: np.full((18, 3), float(i)) for i, stamp in enumerate(stamps)})
+    assert (tmp_path / "rec" / "truth.csv").read_text().startswith("timestamp_ns,Head_x,")
+    # What is taken away at the beginning moves nothing.
+    for stamp in stamps[:2]:
+        (tmp_path / "rec" / "cam0" / f"{stamp}.png").unlink()
     recording = Recording(tmp_path / "rec")
-    found = [s.true_joints for s in recording]
-    assert [None if joints is None else joints[0, 0] for joints in found] == [0, 1, None]
-    assert not any("time_s" in problem for problem in recording.problems)
+    assert first_joints(recording) == [2, 3]
+    assert [stamp for stamp, _ in recording.truth_rows()] == stamps
+    assert of_truth(recording) == []
+
+
+def of_truth(recording: Recording) -> list[str]:
+    return [problem for problem in recording.problems if "true joints" in problem]
+
+
+def with_seconds(folder: Path, times_s: list[float] | list[str]) -> Recording:
+    """The recording with a truth.csv as earlier versions and other programs write it: of times in seconds."""
+    columns = [f"{joint}_{axis}" for joint in JOINTS for axis in "xyz"]
+    rows = [",".join(["time_s", *columns]), *(",".join([f"{t}", *[str(i)] * 54]) for i, t in enumerate(times_s))]
+    (folder / "truth.csv").write_text("\n".join(rows))
+    return Recording(folder)
+
+
+def test_truth_in_seconds_is_of_the_frames_clock_or_from_the_first_frame(tmp_path: Path) -> None:
+    stamps = regular(4, EPOCH)
+    write(tmp_path / "rec", {"cam0": stamps})
+    period_s = PERIOD / 1e9
+    on_clock = with_seconds(tmp_path / "rec", [f"{stamp // 10**9}.{stamp % 10**9:09d}" for stamp in stamps[1:3]])
+    assert first_joints(on_clock) == [None, 0, 1, None]
+    from_first = with_seconds(tmp_path / "rec", [0.0, period_s])
+    assert first_joints(from_first) == [0, 1, None, None]
+    # So they are wherever they are read: convert and replay take them as rows.
+    assert [stamp for stamp, _ in from_first.truth_rows()] == stamps[:2]
+    assert of_truth(on_clock) == of_truth(from_first) == []
+    (tmp_path / "rec" / "cam0" / f"{stamps[0]}.png").unlink()
+    (problem,) = of_truth(with_seconds(tmp_path / "rec", [i * period_s for i in range(4)]))
+    assert "go on for longer than the frames" in problem and "timestamp_ns" in problem
+
+
+def test_truth_in_seconds_that_could_be_both_is_told(tmp_path: Path) -> None:
+    write(tmp_path / "rec", {"cam0": [2 * PERIOD + stamp for stamp in regular(4)]})
+    recording = with_seconds(tmp_path / "rec", [i * PERIOD / 1e9 for i in range(4)])
+    assert first_joints(recording) == [2, 3, None, None]
+    assert ["could count from the first frame" in problem for problem in of_truth(recording)] == [True]
 
 
 def test_bad_truth(folder: Path) -> None:
@@ -305,7 +347,7 @@ def test_bad_truth(folder: Path) -> None:
         Recording(folder)
     write(folder.parent / "other", {"cam0": [90 * 10**9]}, {90 * 10**9: np.zeros((18, 3))})
     shutil.copy(folder.parent / "other" / "truth.csv", path)
-    assert "no row is at the time of a frame" in Recording(folder).problems[0]
+    assert "are none of the frames'" in Recording(folder).problems[0]
 
 
 def test_writer_refuses_what_does_not_fit(tmp_path: Path) -> None:

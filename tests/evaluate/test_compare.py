@@ -13,8 +13,8 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.cli import main
 from depthmocap.evaluate.compare import Comparison, compare
 from depthmocap.evaluate.evaluation_report import Outputs, write_outputs
-from depthmocap.evaluate.protocol import joint_numbers
-from depthmocap.report.metrics import joint_errors_cm, joint_metrics, reliability
+from depthmocap.export.summary import Take, make_summary, write_summary
+from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
 
 QUIET = Console(quiet=True)
 
@@ -81,6 +81,24 @@ def test_how_it_was_measured_may_differ_and_is_told(tmp_path, capsys):
     assert "data of seen" not in printed and "labels of seen" not in printed
 
 
+def test_summaries_of_takes(tmp_path):
+    """Of a recording whose true joints are known."""
+    errors = {key: value for key, value in numbers(0.04).items() if key != "frames"}
+    for name, more in (("a", {}), ("b", {"mean_joint_error_cm": 3.0})):
+        known = {"frames": 4, "error": errors | more, "ms_per_frame": {"p50": 8.0, "p95": 9.0}}
+        write_summary(tmp_path / name, make_summary(Take("run", ["walks/one"], "z", 0.2), known))
+    a, b = (tmp_path / name / "summary.json" for name in "ab")
+    values = compare(Comparison(a, b), QUIET)["one"]
+    assert values["mean joint error (cm)"] == pytest.approx((4, 3))
+    assert values["median time of a frame (ms)"] == (8, 8)
+    write_summary(tmp_path / "b", make_summary(Take("run", ["walks/one"], "z", 0.2), {"frames": 4}))
+    with pytest.raises(InputError, match=r"the true joints of walks.one are not known"):
+        compare(Comparison(a, b), QUIET)
+    b.write_text(json.dumps(json.loads(a.read_text()) | {"schema": 99}))
+    with pytest.raises(InputError, match="has the schema 99"):
+        compare(Comparison(a, b), QUIET)
+
+
 def test_what_is_not_an_evaluation(tmp_path):
     a = write(tmp_path / "a.json", {"seen": numbers(0.04)})
     b = tmp_path / "b.json"
@@ -101,7 +119,7 @@ def test_files_of_an_evaluation(tmp_path):
     document = json.loads(outputs.json.read_text())
     assert document["none"]["mean_joint_error_cm"] is None
     assert document["seen"]["reliability"] == {
-        "confidence": [0.75], "within_10cm": [1.0], "joints": [72], "calibration_error": 0.25,
+        "confidence": [0.75], "within_10cm": [1.0], "beyond_20cm": [0.0], "joints": [72], "calibration_error": 0.25,
     }  # fmt: skip
     rows = list(csv.reader(outputs.csv.read_text().splitlines()))
     assert rows[1] == ["seen", "Head", "4.0000", "0.0000", "1.0000"]

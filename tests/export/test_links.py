@@ -9,9 +9,11 @@ import pytest
 from depthmocap.errors import InputError
 from depthmocap.export import read_csv
 from depthmocap.export.files import PeopleFiles, PoseFiles
+from depthmocap.export.summary import Take
 from depthmocap.frames import Pose
 from depthmocap.output import open_new, write_file
 
+TAKE = Take("run", ["somewhere"], "z", 0.2)
 NAMES = ("pose.csv", "pose.trc", "pose.bvh", "summary.json")
 
 
@@ -28,7 +30,7 @@ def test_results_take_the_place_of_links_and_not_of_what_they_lead_to(tmp_path: 
         (others / name).write_text("precious")
         (out / name).symlink_to(others / name)
     (out / NAMES[3]).symlink_to(others / "nothing yet")
-    with PoseFiles(out, "z") as files:
+    with PoseFiles(out, TAKE) as files:
         for pose in poses():
             files.write(pose)
     assert {each.name: each.read_text() for each in others.iterdir()} == dict.fromkeys(NAMES[:3], "precious")
@@ -50,7 +52,7 @@ def test_a_person_s_folder_that_leads_elsewhere_is_refused(tmp_path: Path) -> No
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "person-1").symlink_to(tmp_path / "elsewhere")
-    with PeopleFiles(tmp_path / "out", "z") as people, pytest.raises(InputError, match="person-1 is a link"):
+    with PeopleFiles(tmp_path / "out", TAKE) as people, pytest.raises(InputError, match="person-1 is a link"):
         people.write({1: poses()[0]})
     assert list((tmp_path / "elsewhere").iterdir()) == []
 

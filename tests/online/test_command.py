@@ -16,6 +16,7 @@ from depthmocap.cli import main
 from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.export import read_bvh, read_csv, read_trc
+from depthmocap.export.summary import read_summary
 from depthmocap.offline import load_pipeline
 from depthmocap.online import command
 from depthmocap.online import live as live_module
@@ -57,8 +58,10 @@ def test_as_fast_as_it_goes_every_set_becomes_a_pose(recording, tmp_path):
     np.testing.assert_allclose(times_s, np.arange(SETS) * 0.04, atol=1e-6)
     assert np.isfinite(joints).all()
     assert len(read_trc(tmp_path / "out" / "pose.trc")[0]) == len(read_bvh(tmp_path / "out" / "pose.bvh")[0]) == SETS
-    written = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert written["poses"] == summary["poses"] == SETS
+    written = read_summary(tmp_path / "out")
+    assert written["command"] == "live" and written["sources"] == [recording]
+    assert written["first_timestamp_ns"] == 1_700_000_000_000_000_000
+    assert written["frames"] == summary["frames"] == SETS
     assert written["sets_dropped"] == 0
     assert written["cameras"]["cam1"]["counts"]["used"] == SETS
     assert not written["interrupted"]
@@ -116,7 +119,7 @@ def test_in_real_time_everything_is_recorded_once_the_cameras_are_open(recording
     pytest.importorskip("foxglove")
     copy = tmp_path / "copy.mcap"
     summary = run_live(LiveSettings((recording,), out=tmp_path / "out", record=copy, realtime=True, segment="none"))
-    counted = [summary[name] for name in ("poses", "sets_dropped", "sets_before_ready")]
+    counted = [summary[name] for name in ("frames", "sets_dropped", "sets_before_ready")]
     assert counted[0] + counted[1] > SETS / 2
     assert counted[2] >= 1
     assert SETS - 2 <= sum(counted) <= SETS  # no set is without an account, but for those while cameras open
@@ -155,7 +158,7 @@ def test_it_ends_in_time_even_if_no_camera_delivers(recording, monkeypatch, virt
     if realtime:
         monkeypatch.setattr(command, "make_sources", sources)
     summary = run_live(LiveSettings((recording,), realtime=realtime, seconds=5.0))
-    assert summary["poses"] > 5
+    assert summary["frames"] > 5
     assert summary["seconds"] < 6
 
 
@@ -176,7 +179,7 @@ def test_what_it_takes_to_be_ready_is_told_and_waited_for(recording, monkeypatch
         made = [Slow(simulation, "cam0", virtual.monotonic_ns()), SimulatedCamera(simulation, "cam1", 5_000_000_000)]
         patch.setattr(command, "make_sources", lambda *arguments: made)
         summary = run_live(LiveSettings(("x",), seconds=2.0), console)
-    assert summary["poses"] == pytest.approx(20, abs=3)
+    assert summary["frames"] == pytest.approx(20, abs=3)
     assert summary["seconds"] == pytest.approx(2.0, abs=0.2)
     assert summary["sets_before_ready"] > 6.0 * 10 - 3
     told = console.export_text()
@@ -193,7 +196,7 @@ def test_a_damaged_frame_of_a_recording_is_told(recording, tmp_path, virtual, re
     bad.write_bytes(bad.read_bytes()[:-30])
     console = Terminal(record=True, width=200)
     problems = run_live(LiveSettings((recording,), realtime=realtime), console)["problems"]
-    assert [(bad.name in line, times) for line, times in problems.items()] == [(True, 1)]
+    assert [(bad.name in problem["text"], problem["times"]) for problem in problems] == [(True, 1)]
     assert bad.name in console.export_text()
 
 
@@ -203,8 +206,8 @@ def test_a_recording_that_was_cut_off_is_told_once(recording, tmp_path, virtual)
     convert(ConvertSettings(Path(recording), cut))
     cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
     summary = run_live(LiveSettings((str(cut),), realtime=True))
-    assert [("cut off" in line, times) for line, times in summary["problems"].items()] == [(True, 1)]
-    assert summary["poses"] > 5
+    assert [("cut off" in problem["text"], problem["times"]) for problem in summary["problems"]] == [(True, 1)]
+    assert summary["frames"] > 5
 
 
 def test_a_camera_in_the_dark_is_told_and_counted(tmp_path, monkeypatch, virtual):
@@ -218,7 +221,7 @@ def test_a_camera_in_the_dark_is_told_and_counted(tmp_path, monkeypatch, virtual
             writer.write(i * 40_000_000, frames)
     console = Terminal(record=True, width=200)
     summary = run_live(LiveSettings((str(path),), segment="none"), console)
-    assert summary["poses"] == 100
+    assert summary["frames"] == 100
     assert summary["cameras"]["cam1"]["counts"]["dark"] == 50
     assert "• camera 'cam1': no pixel has depth: is it covered, or too near to something? (50 times)" in (
         console.export_text()
@@ -247,6 +250,7 @@ def test_the_python_interface(recording, virtual):
         ({"sources": ("nowhere",)}, "nowhere"),
         ({"seconds": 0.0}, "--seconds"),
         ({"record": Path("x.mcap")}, "--realtime"),
+        ({"least_confidence": 2.0}, "--least-confidence must be from 0 to 1, got 2"),
         ({"record": Path("x.txt"), "realtime": True}, r"--record must end in \.mcap, got x\.txt"),
         *(({"rate_hz": x}, f"--rate-hz must be finite and above 0, got {x}$") for x in (-1.0, 0.0, np.nan, np.inf)),
         *(({"wait_ms": x}, f"--wait-ms must be finite and at least 0, got {x}$") for x in (-5.0, np.nan, np.inf)),

@@ -36,7 +36,7 @@ def test_poses_come_until_the_cameras_end(virtual):
     assert sum(len(each.synced.frames) != 2 for each in poses) <= 1
     assert {status.state for status in capture.statuses()} == {"at its end"}
     assert capture.gatherer.rate_hz == pytest.approx(RATE, rel=0.01)
-    assert capture.books.summary()["poses"] == len(poses)
+    assert capture.books.summary()["frames"] == len(poses)
     assert not capture.problems
 
 

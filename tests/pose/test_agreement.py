@@ -164,5 +164,5 @@ def test_run_tells_of_a_rig_that_is_wrong(short, tmp_path, capsys, pose, message
         assert max(summary["cameras_apart_cm"].values()) < 4
     else:
         (problem,) = summary["problems"]
-        assert message in problem and repr(rig.names[1]) in problem
+        assert message in problem["text"] and repr(rig.names[1]) in problem["text"]
         assert "calibrate" in capsys.readouterr().err

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float, UInt16
+from jaxtyping import Float, Int, UInt16
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
@@ -274,13 +274,8 @@ class McapRecording(Recording):
             pose, frame = step if pose is None else step @ pose, transform.parent
         return np.eye(4) if pose is None else pose
 
-    def _load_truth(self) -> tuple[Float[ndarray, " rows"], Float[ndarray, "rows 18 3"]] | None:
-        if not (rows := self.truth_rows()):
-            return None
-        return np.array([stamp / 10**9 for stamp, _ in rows]), np.stack([joints for _, joints in rows])
-
-    def truth_rows(self) -> list[tuple[int, Float[ndarray, "18 3"]]]:
-        """Times (ns) and true joints as they were written, in order of time; those that are damaged are left out."""
+    def _load_truth(self) -> tuple[Int[ndarray, " rows"], Float[ndarray, "rows 18 3"], bool] | None:
+        """See :class:`Recording`; those that are damaged are left out."""
         rows: list[tuple[int, Float[ndarray, "18 3"]]] = []
         for message in self._truth_messages:
             where = f"{self.path}: the true joints at {message.log_time_ns}"
@@ -288,7 +283,11 @@ class McapRecording(Recording):
                 rows.append(_true_joints(parse_json(self._file.payload(message), where), where))
             except InputError as error:
                 self._note(f"{error}: they are left out")
-        return sorted(rows, key=lambda row: row[0])
+        if not rows:
+            return None
+        rows.sort(key=lambda row: row[0])
+        # Files made of a truth.csv that counted from the first frame do so too.
+        return np.array([stamp for stamp, _ in rows], np.int64), np.stack([joints for _, joints in rows]), False
 
 
 def _true_joints(document: Any, where: str) -> tuple[int, Float[ndarray, "18 3"]]:

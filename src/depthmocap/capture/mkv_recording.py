@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt16
+from jaxtyping import Float, Int, UInt16
 from numpy import ndarray
 
 from depthmocap.capture.lens import five_coefficients
@@ -217,7 +217,7 @@ class MkvRecording(Recording):
     def _where(self, name: str, what: str) -> str:
         return f"{self.path}: frame {what}"
 
-    def _load_truth(self) -> tuple[Float[ndarray, " rows"], Float[ndarray, "rows 18 3"]] | None:
+    def _load_truth(self) -> tuple[Int[ndarray, " rows"], Float[ndarray, "rows 18 3"], bool] | None:
         return None
 
 

@@ -5,33 +5,30 @@
     rig.json
     <camera>/<timestamp ns>.png     16-bit grey raw depth, 0 = invalid; one clock for all cameras
     <camera>/background.png         the empty scene (optional)
-    truth.csv                       true joints, in the columns of pose.csv (optional)
+    truth.csv                       true joints: timestamp_ns and the positions of pose.csv (optional)
 """
 
 from __future__ import annotations
 
 import contextlib
-import csv
 import os
 import struct
 from collections.abc import Iterator, Mapping
-from decimal import Decimal
 from pathlib import Path
 from types import TracebackType
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt16
+from jaxtyping import Float, Int, UInt16
 from numpy import ndarray
 
-from depthmocap.body.skeleton import JOINTS
 from depthmocap.capture.health import Fault, HealthCheck
 from depthmocap.capture.source import place
 from depthmocap.capture.stamps import check_clocks, check_unit, fill_gaps, frame_period_ns, group_stamps
 from depthmocap.capture.unfinished import UNFINISHED_FILE, mark_unfinished, remove_unfinished_copy, unfinished
 from depthmocap.ending import finishing
 from depthmocap.errors import InputError
-from depthmocap.export.csv import read_csv
+from depthmocap.export.csv import STAMP, TRUTH_HEADER, read_table
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import DepthCamera, Rig, load_rig, save_rig
 from depthmocap.output import LineFile, write_file, writing
@@ -39,7 +36,6 @@ from depthmocap.owning import LOCK_FILE, own_folder
 
 BACKGROUND_FILE = "background.png"
 TRUTH_FILE = "truth.csv"
-TRUTH_COLUMNS: tuple[str, ...] = tuple(f"{joint}_{axis}" for joint in JOINTS for axis in "xyz")
 SATURATED = 65535
 #: Half of a camera's first picture is not further or nearer (metres).
 FARTHEST_M, NEAREST_M = 50.0, 0.3
@@ -125,8 +121,9 @@ class Recording:
 
     Frames of different cameras within half a frame period of each other form one set; instants at which no camera
     delivered are sets without views. A bad frame is a view that is absent, and a line in ``problems``; read in order,
-    so are frames of a camera that was stuck (see ``capture.health``), all of them in one line. The times of
-    ``truth.csv`` are the frames' timestamps in seconds, or count from the first frame when that cannot be.
+    so are frames of a camera that was stuck (see ``capture.health``), all of them in one line. ``truth.csv`` has the
+    frames' timestamps as ``timestamp_ns``; where it has ``time_s`` alone, these are the frames' timestamps in seconds,
+    or count from the first frame when that cannot be.
 
     Attributes:
         rig: the cameras. ``up``: the world's up axis.
@@ -309,47 +306,51 @@ class Recording:
         return depth_m
 
     def truth_rows(self) -> list[tuple[int, Float[ndarray, "18 3"]]]:
-        """Times (ns) and true joints as they were recorded; times before the frames' count from the first."""
-        if (truth := self._load_truth()) is None:
-            return []
-        with (self.path / TRUTH_FILE).open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if row]
-        column = [name.strip() for name in rows[0]].index("time_s")
-        # As written: a float of seconds does not hold the nanoseconds of an epoch.
-        times_ns = [round(Decimal(row[column].strip()) * 10**9) for row in rows[1:]]
-        return list(zip(times_ns, truth[1], strict=True))
+        """The true joints, with their times (ns) on the frames' clock."""
+        return [] if self._truth is None else list(zip(self._truth[0].tolist(), self._truth[1], strict=True))
 
-    def _load_truth(self) -> tuple[Float[ndarray, " rows"], Float[ndarray, "rows 18 3"]] | None:
-        """Times (s) and joints as they were recorded."""
+    def _load_truth(self) -> tuple[Int[ndarray, " rows"], Float[ndarray, "rows 18 3"], bool] | None:
+        """Times (ns) and joints as they were recorded, and whether the times are on the frames' clock for sure."""
         path = self.path / TRUTH_FILE
-        return read_csv(path)[:2] if path.exists() else None
+        if not path.exists():
+            return None
+        table = read_table(path)
+        return table.stamps_ns, table.joints, table.on_clock
 
     def _place_truth(
-        self, truth: tuple[Float[ndarray, " rows"], Float[ndarray, "rows 18 3"]] | None
-    ) -> tuple[Float[ndarray, " rows"], Float[ndarray, "rows 18 3"]] | None:
-        """The true joints with times on the frames' clock (s)."""
+        self, truth: tuple[Int[ndarray, " rows"], Float[ndarray, "rows 18 3"], bool] | None
+    ) -> tuple[Int[ndarray, " rows"], Float[ndarray, "rows 18 3"]] | None:
+        """The true joints with times on the frames' clock (ns)."""
         if truth is None:
             return None
-        times_s, joints = truth
-        first_s, last_s = self._sets[0].timestamp_ns / 1e9, self._sets[-1].timestamp_ns / 1e9
-        slack_s = self.period_ns / 2e9
-        if times_s[-1] < first_s - slack_s and times_s[0] <= slack_s:
-            times_s = times_s + first_s  # as in pose.csv, counted from the first frame
-        if times_s[-1] < first_s - slack_s or times_s[0] > last_s + slack_s:
-            what = "no row is at the time of a frame; time_s must be the frames' timestamps / 1e9"
-            self._note(f"{self.path / TRUTH_FILE}: {what}")
-        return times_s, joints
+        stamps_ns, joints, on_clock = truth
+        first_ns, last_ns, slack_ns = self._sets[0].timestamp_ns, self._sets[-1].timestamp_ns, self.period_ns // 2
+        told, mend = f"{self.path}: times of the true joints", f"truth.csv should have the frames' as {STAMP}"
+        if not on_clock and stamps_ns[0] <= slack_ns < first_ns:
+            # From 0 on, and frames from later on: of a clock that began before them, or counted from the first of them.
+            if stamps_ns[-1] >= first_ns - slack_ns:
+                self._note(f"{told} are taken for the frames' clock, but could count from the first frame: {mend}")
+            else:
+                stamps_ns = stamps_ns + first_ns
+                if stamps_ns[-1] > last_ns + slack_ns:
+                    self._note(
+                        f"{told} are taken to count from the first frame, and go on for longer than the frames: if "
+                        f"some were taken away at the beginning, they are wrong by as much; {mend}"
+                    )
+        if stamps_ns[-1] < first_ns - slack_ns or stamps_ns[0] > last_ns + slack_ns:
+            self._note(f"{told} are none of the frames': {mend}")
+        return stamps_ns, joints
 
     def _true_joints(self, timestamp_ns: int) -> Float[ndarray, "18 3"] | None:
         """The truth row nearest in time, if within half a period."""
         if self._truth is None:
             return None
-        times_s, joints = self._truth
-        after = int(np.searchsorted(times_s, timestamp_ns / 1e9))
-        distance_s, near = min(
-            (abs(times_s[i] - timestamp_ns / 1e9), i) for i in (after - 1, after) if 0 <= i < len(times_s)
+        stamps_ns, joints = self._truth
+        after = int(np.searchsorted(stamps_ns, timestamp_ns))
+        distance_ns, near = min(
+            (abs(int(stamps_ns[i]) - timestamp_ns), i) for i in (after - 1, after) if 0 <= i < len(stamps_ns)
         )
-        return joints[near] if distance_s <= self.period_ns / 2e9 else None
+        return joints[near] if distance_ns <= self.period_ns / 2 else None
 
 
 class RecordingWriter:
@@ -421,10 +422,9 @@ class RecordingWriter:
         if true_joints is not None:
             if self._truth_file is None:
                 self._truth_file = LineFile(self.path / TRUTH_FILE)
-                self._truth_file.add(",".join(("time_s", *TRUTH_COLUMNS)))
-            seconds, rest = divmod(timestamp_ns, 10**9)
+                self._truth_file.add(",".join(TRUTH_HEADER))
             cells = map(repr, true_joints.astype(float).ravel().tolist())  # repr: reads back exactly
-            self._truth_file.add(f"{seconds}.{rest:09d}," + ",".join(cells))
+            self._truth_file.add(f"{timestamp_ns}," + ",".join(cells))
 
     def close(self, finished: bool = True) -> None:
         """Close the files; a recording that is ``finished`` loses its mark. A second call does nothing."""

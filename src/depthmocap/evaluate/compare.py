@@ -16,6 +16,7 @@ from rich.table import Table
 from depthmocap.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import Numbers, measures
+from depthmocap.export.summary import Summary, check_summary
 
 #: What tells a set: two results may be compared only where these agree.
 _OF_THE_SET = ("subset", "split", "frames", "joints", "seed", "clips")
@@ -30,7 +31,7 @@ class Comparison:
     """Two evaluations of the same set: their numbers and the differences, B − A.
 
     Attributes:
-        a: what an evaluation wrote with --json.
+        a: what an evaluation wrote with --json, or the summary.json of a recording whose true joints are known.
         b: another, of the same frames and joints; views, labels, weights, estimator and refit may differ.
     """
 
@@ -39,7 +40,7 @@ class Comparison:
 
 
 def load_results(path: Path) -> Mapping[str, Numbers]:
-    """The results by name of a file that an evaluation wrote.
+    """The results by name of a file that an evaluation wrote, or of a summary.json.
 
     Raises:
         InputError: when it is not such a file.
@@ -50,11 +51,26 @@ def load_results(path: Path) -> Mapping[str, Numbers]:
         raise InputError(f"{path} not found: give a file that an evaluation wrote with --json") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{path} is not JSON: {error}") from None
+    if isinstance(document, dict) and "schema" in document:
+        document = _of_summary(path, check_summary(path, document))
     if isinstance(document, dict) and "mean_joint_error_cm" in document:  # of one set, such as UBC3V's
         document = {f"{document.get('subset', 'all')}/{document.get('split', 'all')}": document}
     if not isinstance(document, dict) or not document or not all(map(_is_result, document.values())):
         raise InputError(f"{path} holds no numbers of joints: give a file that an evaluation wrote with --json")
     return document
+
+
+def _of_summary(path: Path, summary: Summary) -> dict[str, Numbers]:
+    """The errors of a take, as an evaluation tells them."""
+    if summary["error"] is None:
+        raise InputError(f"{path} tells no errors: the true joints of {', '.join(summary['sources'])} are not known")
+    numbers = {
+        "frames": summary["frames"],
+        "frames_without_person": summary["gaps"],
+        **summary["error"],
+        "ms_per_frame": summary["ms_per_frame"] and summary["ms_per_frame"]["p50"],
+    }
+    return {Path(summary["sources"][0]).name: numbers}
 
 
 def _is_result(numbers: Any) -> bool:

@@ -1,6 +1,6 @@
 """What every evaluation can leave behind: all numbers as JSON, a table of joints as CSV, and one HTML page.
 
-Results are numbers by name, as ``protocol.joint_numbers`` and ``synthetic.measure`` make them: one evaluation may have
+Results are numbers by name, as ``metrics.joint_numbers`` and ``synthetic.measure`` make them: one evaluation may have
 several, each with a name of its own ("35 joints", "29 joints").
 """
 

@@ -5,7 +5,6 @@ As in the paper only the pose stage is fitted to a set's joints (see ``refit``),
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from typing import Any, Literal
 
@@ -16,7 +15,7 @@ from numpy import ndarray
 from depthmocap.errors import InputError
 from depthmocap.evaluate.observe import Observations
 from depthmocap.evaluate.refit import fit_joints
-from depthmocap.report.metrics import JointMetrics, Reliability, joint_errors_cm, joint_metrics, reliability
+from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
 
 #: "ridge" fits the set's joints; "none" takes ours where they correspond.
 Refit = Literal["ridge", "none"]
@@ -54,25 +53,6 @@ def leave_one_out(
         out = groups == name
         estimates[out] = fit_joints(observed.rows(~out))(observed.rows(out))
     return estimates
-
-
-def joint_numbers(metrics: JointMetrics, confidence: Reliability | None = None) -> dict[str, Any]:
-    """What every evaluation tells of its joints, under the same names."""
-    numbers: dict[str, Any] = {
-        "mean_joint_error_cm": metrics.mean_joint_error_cm,
-        "deviation_cm": metrics.deviation_cm,
-        "within_10cm": metrics.within_10cm,
-        "mean_ap_10cm": metrics.mean_ap_10cm,
-        "per_joint_error_cm": metrics.per_joint_error_cm,
-        "per_joint_deviation_cm": metrics.per_joint_deviation_cm,
-        "per_joint_within_10cm": metrics.per_joint_within_10cm,
-        "curve": list(metrics.curve),
-        "joints_observed": metrics.observed,
-        "joints_missing": metrics.missing,
-    }
-    if confidence is not None:
-        numbers["reliability"] = dataclasses.asdict(confidence)
-    return numbers
 
 
 def measure_estimates(

@@ -14,11 +14,10 @@ from rich.progress import track
 from depthmocap.console import Terminal, description
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
-from depthmocap.evaluate.protocol import joint_numbers
 from depthmocap.offline import load_pipeline, open_source
 from depthmocap.owning import owns
 from depthmocap.pose.track import Bones, Smoothing
-from depthmocap.report.metrics import joint_errors_cm, joint_metrics, reliability
+from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
 from depthmocap.text import joined
 
 
@@ -72,8 +71,8 @@ def evaluate_recording(settings: RecordingEvaluation, console: Console | None = 
     problems = [*getattr(source, "problems", []), *getattr(pipeline.segment, "problems", [])]
     if not truths:
         raise InputError(
-            f"{settings.recording}: no frame has a true joint: truth.csv must hold the columns of pose.csv, at the "
-            f"frames' times; {joined(problems)}".rstrip("; ")
+            f"{settings.recording}: no frame has a true joint: truth.csv must hold the columns of pose.csv, with the "
+            f"frames' timestamp_ns; {joined(problems)}".rstrip("; ")
         )
     true = np.stack(list(truths.values())).astype(np.float64)
     found = np.stack([poses[time_ns].joints for time_ns in truths]).astype(np.float64)

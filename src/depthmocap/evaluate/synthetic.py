@@ -17,12 +17,18 @@ from depthmocap.body.regions import REGION_NAMES, UNLABELLED
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
 from depthmocap.evaluate.facing import facing_numbers
-from depthmocap.evaluate.protocol import joint_numbers
 from depthmocap.frames import FrameSet, View
 from depthmocap.pose.cloud import LabelledView, merge_views
 from depthmocap.pose.cloud import Labels as Labels
 from depthmocap.pose.estimate import JointEstimator
-from depthmocap.report.metrics import CONFIDENCE_BINS, PixelAccuracy, joint_errors_cm, joint_metrics, reliability
+from depthmocap.report.metrics import (
+    CONFIDENCE_BINS,
+    PixelAccuracy,
+    joint_errors_cm,
+    joint_metrics,
+    joint_numbers,
+    reliability,
+)
 
 
 def _network_labels(classifier: Classifier, views: list[View], accuracy: PixelAccuracy) -> Iterator[LabelledView]:

@@ -47,6 +47,14 @@ END_SITES: dict[str, tuple[float, float, float]] = {
     "LFoot": (0.0, -0.06, 0.18),
 }
 
+
+def _depth(joint: str) -> int:
+    parent = PARENTS[joint]
+    return 0 if parent is None else 1 + _depth(parent)
+
+
+#: Joints by their distance from the root in the tree.
+_FROM_ROOT = sorted(range(len(JOINTS)), key=lambda i: _depth(JOINTS[i]))
 #: A shorter vector (m) has no direction.
 _SHORTEST_M = 1e-6
 #: Children nearly on one line leave the twist about it open: below this ratio of singular values it is not fitted.
@@ -84,13 +92,12 @@ def _shortest_rotation(rest: Float[ndarray, " 3"], observed: Float[ndarray, "t 3
     return rotation
 
 
-def _held(values: Float[ndarray, "t ..."], default: Float[ndarray, " ..."]) -> Float[ndarray, "t ..."]:
-    """NaN replaced by the last good value, at the beginning by the first; by ``default`` if there is none."""
-    good = ~np.isnan(values).any(axis=tuple(range(1, values.ndim)))
-    if not good.any():
-        return np.broadcast_to(default, values.shape).copy()
+def _held(values: Float[ndarray, "t ..."], default: Float[ndarray, " ..."] | None = None) -> Float[ndarray, "t ..."]:
+    """NaN replaced by the last good value; before the first by ``default``, or without one by the first itself."""
+    good = np.asarray(~np.isnan(values).any(axis=tuple(range(1, values.ndim))))
     last = np.maximum.accumulate(np.where(good, np.arange(len(values)), -1))
-    return values[np.where(last < 0, np.argmax(good), last)]
+    before = values[np.argmax(good)] if default is None else default
+    return np.where((last < 0).reshape(-1, *[1] * (values.ndim - 1)), before, values[np.maximum(last, 0)])
 
 
 def rest_offsets(joints_y_up: Float[ndarray, "t 18 3"]) -> Float[ndarray, "18 3"]:
@@ -128,14 +135,16 @@ def rest_offsets(joints_y_up: Float[ndarray, "t 18 3"]) -> Float[ndarray, "18 3"
 
 def bone_rotations(
     joints_y_up: Float[ndarray, "t 18 3"], offsets: Float[ndarray, "18 3"]
-) -> tuple[Float[ndarray, "t 18 3 3"], Float[ndarray, "t 3"], Bool[ndarray, " t"]]:
-    """Each joint's rotation in its parent's frame, the root's position (m), and the frames in which one was held.
+) -> tuple[Float[ndarray, "t 18 3 3"], Float[ndarray, "t 3"], Bool[ndarray, "t 18"]]:
+    """Each joint's rotation in its parent's frame, the root's position (m), and the joints that were held, by frame.
 
-    What a frame does not observe keeps its value of the last frame that does, in its parent's frame, so that a hidden
-    arm moves with the body.
+    What a frame does not observe keeps its rotation of the last frame that does, in its parent's frame, so that a
+    hidden arm moves with the body; before it is first observed it has that of the rest skeleton. A root that is not
+    observed follows the observed joint next to it; without any it keeps its position, and before the first it has that.
     """
     vectors = _bone_vectors(joints_y_up)
-    held = np.asarray(np.isnan(joints_y_up).any((1, 2)))
+    unseen = np.asarray(np.isnan(joints_y_up).any(-1))
+    held = unseen.copy()
     local = np.zeros((len(joints_y_up), len(JOINTS), 3, 3))
     world = np.zeros_like(local)
     for joint, parent in PARENTS.items():
@@ -148,10 +157,13 @@ def bone_rotations(
                 rotation = _fit_rotation(offsets[children], in_parent)
             else:
                 rotation = _shortest_rotation(offsets[children[0]], in_parent[:, 0])
-            held |= np.isnan(rotation).any((1, 2))
+            held[:, children] |= (unseen[:, i] | np.isnan(rotation[:, 0, 0]))[:, None]
             local[:, i] = _held(rotation, np.eye(3))
         world[:, i] = world_from_parent @ local[:, i]
-    return local, _held(joints_y_up[:, JOINT_INDEX[ROOT]], np.zeros(3)), held
+    # Where the root is by each observed joint, the nearest in the tree first, which is the root itself.
+    roots = (joints_y_up - joint_positions(local, np.zeros((len(local), 3)), offsets))[:, _FROM_ROOT]
+    nearest = np.argmax(~unseen[:, _FROM_ROOT], axis=1)
+    return local, _held(roots[np.arange(len(roots)), nearest]), held
 
 
 def joint_positions(

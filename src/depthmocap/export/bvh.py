@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
@@ -21,7 +21,7 @@ from depthmocap.export.bone_rotations import (
     joint_positions,
     rest_offsets,
 )
-from depthmocap.export.timeline import Y_UP_FROM_Z_UP, even_frames, timeline
+from depthmocap.export.timeline import LEAST_CONFIDENCE, Y_UP_FROM_Z_UP, even_frames, timeline
 from depthmocap.frames import Pose
 from depthmocap.output import write_file
 
@@ -59,20 +59,22 @@ def _hierarchy(joint: str, offsets_cm: Float[ndarray, "18 3"], indent: str = "")
     return [*lines, f"{indent}}}"]
 
 
-def write_bvh(path: Path, poses: Sequence[Pose], up: str) -> list[int]:
-    """Write poses whose world has the up axis ``up`` ("z", "y" or "-y"), and return the frames (from 0) that were held.
+def write_bvh(
+    path: Path, poses: Sequence[Pose], up: str, least_confidence: float = LEAST_CONFIDENCE
+) -> Bool[ndarray, "n 18"]:
+    """Write poses whose world has the up axis ``up`` ("z", "y" or "-y"); returns the joints that were held, by frame.
 
-    BVH has one frame time: the poses' typical interval. Frames are the nearest poses in time; regular poses are taken
-    one by one. Where a joint, the whole person or the frame itself is missing, the bones it determines hold their last
-    pose (at the beginning, their first), and the frame is among those returned. Bone lengths are medians over the
-    recording (:func:`rest_offsets`), so the joints of the file differ from the poses by as much as the estimated
-    lengths vary.
+    BVH has one frame time: the poses' typical interval. Frames are the nearest poses in time, from the first pose on;
+    regular poses are taken one by one. Where a joint, the whole person or the frame itself is missing, or a joint's
+    confidence is below ``least_confidence``, the bones it determines hold their last rotation (the rest pose's before
+    they were first seen). Bone lengths are medians over the recording (:func:`rest_offsets`), so the joints of the file
+    differ from the poses by as much as the estimated lengths vary.
 
     Raises:
         InputError: when there is no pose, none shows a person, timestamps do not increase or pause for very long, or
             the file cannot be written.
     """
-    line = timeline(poses, up)
+    line = timeline(poses, up, least_confidence)
     source, repeated = even_frames(line)
     offsets = rest_offsets(line.joints_y_up)
     local, root, held = bone_rotations(line.joints_y_up[source], offsets)
@@ -87,7 +89,7 @@ def write_bvh(path: Path, poses: Sequence[Pose], up: str) -> list[int]:
         *(_numbers(row, 4) for row in rows),
     ]
     write_file(path, "\n".join(lines) + "\n")
-    return np.flatnonzero(held | repeated).tolist()
+    return held | repeated[:, None]
 
 
 def _read_offsets(lines: list[str]) -> Float[ndarray, "18 3"]:

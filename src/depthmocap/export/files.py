@@ -1,4 +1,4 @@
-"""Files of a run whose length nobody knows: poses go to disk as they come, and the rest is made of them at the end."""
+"""Files of a take whose length nobody knows: poses go to disk as they come, and the rest is made of them at the end."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import numpy as np
-
+from depthmocap.body.skeleton import JOINTS
 from depthmocap.ending import finishing
 from depthmocap.errors import InputError
 from depthmocap.export.bvh import write_bvh
-from depthmocap.export.csv import TIME, CsvWriter, read_csv
+from depthmocap.export.csv import TIME, CsvWriter, read_table
+from depthmocap.export.summary import PoseNumbers, Summary, Take, make_summary, stretches, write_summary
 from depthmocap.export.trc import write_trc
 from depthmocap.frames import Pose
-from depthmocap.output import make_inner_folder, write_json, writing
+from depthmocap.output import make_inner_folder, writing
 
 #: What ``run`` and ``live`` write into a folder and into those of people; ``run`` pictures, too.
 RESULTS = ("pose.csv", "pose.trc", "pose.bvh", "summary.json")
 PICTURES = ("report.html", "preview.webp")
 #: Files of somebody who was not seen for longer than this are closed (s): people have their numbers back for a minute.
 CLOSED_AFTER_S = 65.0
+NOBODY = "no person was found in any set"
 _PERSON = re.compile(r"person-\d+")
 
 
@@ -58,69 +59,97 @@ class PoseFiles:
     """pose.csv while running; pose.trc, pose.bvh and summary.json at the end, however it comes. A context manager.
 
     Attributes:
-        summary: what summary.json gets; add to it before the end.
+        numbers: what summary.json gets besides what follows from the poses, by its keys; add to it before the end.
     """
 
-    def __init__(self, folder: Path, up: str) -> None:
+    def __init__(self, folder: Path | None, take: Take, person: int | None = None) -> None:
         """
+        Args:
+            folder: None writes nothing, and makes the summary alone.
+            person: the number of the one whose poses these are, where several people are followed.
+
         Raises:
             InputError: when the folder cannot be written.
         """
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            if folder is not None:
+                folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"cannot write to {folder}: {error.strerror}") from None
-        self._folder, self._up = folder, up
-        self._csv = CsvWriter(folder / "pose.csv")
+        self._folder, self._take, self._person = folder, take, person
+        self._csv: CsvWriter | None = None
         self._last_ns: int | None = None
-        self.summary: dict[str, Any] = {}
+        self._poses = PoseNumbers(take.least_confidence)
+        self._summary: Summary | None = None
+        self.numbers: dict[str, Any] = {}
+
+    @property
+    def summary(self) -> Summary:
+        """What summary.json holds, at the end."""
+        assert self._summary is not None, "the files are still open"
+        return self._summary
 
     def __enter__(self) -> PoseFiles:
-        self._csv.__enter__()
+        if self._folder is not None:
+            self._csv = CsvWriter(self._folder / "pose.csv").__enter__()
         return self
 
     def write(self, pose: Pose) -> None:
         """Append a pose; one that is not later than the last is not written."""
         if self._last_ns is None or pose.timestamp_ns > self._last_ns:
-            if self._last_ns is None:
-                self.summary["first_timestamp_ns"] = pose.timestamp_ns
-            self._csv.write(pose)
+            origin_ns = self._take.begin(pose.timestamp_ns)
+            if self._csv is not None:
+                self._csv.origin_ns = origin_ns
+                self._csv.write(pose)
+            self._poses.add(pose)
             self._last_ns = pose.timestamp_ns
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with finishing():
-            self._csv.__exit__(kind, error, trace)
+            if self._csv is not None:
+                self._csv.__exit__(kind, error, trace)
             self._finish(kind is not None)
 
     def _finish(self, cut_off: bool) -> None:
-        self.summary["interrupted"] = self.summary.get("interrupted", False) or cut_off
+        problems = dict(self.numbers.pop("problems", {}))
+        numbers = {**self.numbers, **self._poses.summary()}
+        numbers["interrupted"] = self.numbers.get("interrupted", False) or cut_off
         if self._last_ns is not None:
-            self._animate()
-        write_json(self._folder / "summary.json", self.summary)
+            try:
+                numbers |= self._animate()
+            except InputError as error:  # pose.csv is whole in any case
+                problems[str(error)] = 1
+        self._summary = make_summary(self._take, {**numbers, "problems": problems}, self._person)
+        if self._folder is not None:
+            write_summary(self._folder, self._summary)
 
-    def _animate(self) -> None:
+    def _animate(self) -> dict[str, Any]:
+        """Write the animations; returns what the summary tells of them."""
+        if self._poses.gaps == self._poses.frames:
+            raise InputError(NOBODY)
+        if self._folder is None:
+            return {}
         # Read back instead of kept: hours of poses do not belong into memory.
-        times_s, joints, confidence = read_csv(self._folder / "pose.csv")
-        if not np.isfinite(joints).any():
-            self.summary["problems"] = [*self.summary.get("problems", []), "no person was found in any set"]
-            return
-        poses = [
-            Pose(round(time_s * 1e9), own, sure) for time_s, own, sure in zip(times_s, joints, confidence, strict=True)
-        ]
+        poses, take = read_table(self._folder / "pose.csv").poses(), self._take
+        write_trc(self._folder / "pose.trc", poses, take.up, take.least_confidence, take.origin_ns)
         try:
-            write_trc(self._folder / "pose.trc", poses, self._up)
-            self.summary["bvh_held_frames"] = write_bvh(self._folder / "pose.bvh", poses, self._up)
-        except InputError as error:  # pose.csv is whole in any case
-            self.summary["problems"] = [*self.summary.get("problems", []), str(error)]
+            held = write_bvh(self._folder / "pose.bvh", poses, take.up, take.least_confidence)
+        except InputError as error:
+            raise InputError(f"no pose.bvh: {error}") from None
+        by_joint = {joint: stretches(held[:, i]) for i, joint in enumerate(JOINTS)}
+        return {
+            "bvh_start_s": (poses[0].timestamp_ns - take.begin(poses[0].timestamp_ns)) * 1e-9,
+            "bvh_held": {joint: found for joint, found in by_joint.items() if found},
+        }
 
 
 class PeopleFiles:
     """A folder ``person-N`` of :class:`PoseFiles` for everybody who is followed. A context manager."""
 
-    def __init__(self, folder: Path, up: str) -> None:
-        self._folder, self._up = folder, up
+    def __init__(self, folder: Path, take: Take) -> None:
+        self._folder, self._take = folder, take
         self._files: dict[int, PoseFiles] = {}
         #: How many poses each has had.
         self.poses: dict[int, int] = {}
@@ -141,7 +170,7 @@ class PeopleFiles:
             if number not in self._files:
                 folder = self._folder / f"person-{number}"
                 make_inner_folder(folder)
-                self._files[number] = PoseFiles(folder, self._up).__enter__()
+                self._files[number] = PoseFiles(folder, self._take, number).__enter__()
             if self.poses[number] > delay_frames:
                 self._files[number].write(pose)
         newest_ns = max(self._last_ns.values(), default=0)

@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
-from depthmocap.export.timeline import Y_UP_FROM_Z_UP, timeline
+from depthmocap.export.timeline import LEAST_CONFIDENCE, Y_UP_FROM_Z_UP, timeline
 from depthmocap.frames import Pose
 from depthmocap.output import write_file
 
@@ -21,17 +21,24 @@ _KEYS = (
 _HEADER_LINES = 5
 
 
-def write_trc(path: Path, poses: Sequence[Pose], up: str) -> None:
+def write_trc(
+    path: Path,
+    poses: Sequence[Pose],
+    up: str,
+    least_confidence: float = LEAST_CONFIDENCE,
+    origin_ns: int | None = None,
+) -> None:
     """Write poses whose world has the up axis ``up`` ("z", "y" or "-y").
 
-    Times are the poses' own, from 0; the rates in the header come from their typical interval. A missing marker is
-    three empty cells, which OpenSim reads as NaN.
+    Times are the poses' own, from ``origin_ns`` on their clock (by default the first pose is at 0); the rates in the
+    header come from their typical interval. A marker that is missing, or whose confidence is below
+    ``least_confidence``, is three empty cells, which OpenSim reads as NaN.
 
     Raises:
         InputError: when there is no pose, none shows a person, timestamps do not increase, or the file cannot be
             written.
     """
-    line = timeline(poses, up)
+    line = timeline(poses, up, least_confidence, origin_ns)
     rate = f"{1 / line.frame_s:.6g}"
     count = str(len(poses))
     values = (rate, rate, count, str(len(JOINTS)), "mm", rate, "1", count)

@@ -7,7 +7,6 @@ import dataclasses
 import functools
 import time
 from pathlib import Path
-from typing import Any
 
 import tyro
 from rich.console import Console
@@ -23,6 +22,8 @@ from depthmocap.console import Terminal
 from depthmocap.ending import finishing
 from depthmocap.errors import InputError
 from depthmocap.export.files import PeopleFiles, PoseFiles, remove_results
+from depthmocap.export.summary import Summary, Take, problem_lines, unsure_lines
+from depthmocap.export.timeline import LEAST_CONFIDENCE
 from depthmocap.geometry import Rig, load_rig
 from depthmocap.offline import load_pipeline
 from depthmocap.online.dashboard import draw_dashboard
@@ -55,6 +56,7 @@ class LiveSettings:
         smooth: the filter over time, see ``depthmocap run``.
         bones: "steady" gives bones constant lengths, learnt on the run; "free" leaves them as estimated.
         weights: a classifier.onnx of your own.
+        least_confidence: joints below it are gaps in pose.trc and are held in pose.bvh; pose.csv has all.
         wait_ms: how long a set waits for a camera that is late.
         rate_hz: sets a second; by default the fastest camera's rate.
         triggered: the cameras expose together, by a wire.
@@ -71,13 +73,14 @@ class LiveSettings:
     smooth: Smoothing = "auto"
     bones: Bones = "steady"
     weights: Path | None = None
+    least_confidence: float = LEAST_CONFIDENCE
     wait_ms: float = SyncSettings().wait_ms
     rate_hz: float | None = None
     triggered: bool = False
 
 
 @owns(folder="out")
-def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str, Any]:
+def run_live(settings: LiveSettings, console: Console | None = None) -> Summary:
     """Run until the end, ``seconds`` or Ctrl-C, write everything, and return the summary.
 
     Raises:
@@ -91,6 +94,7 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str
         raise InputError(f"--seconds must be positive, got {settings.seconds}")
     check_above_0({"--rate-hz": settings.rate_hz})
     check_at_least(0, {"--wait-ms": settings.wait_ms})
+    take = Take("live", settings.sources, "z", settings.least_confidence)
     if settings.record is not None:
         check_name("--record", settings.record)
     with contextlib.ExitStack() as stack:
@@ -105,13 +109,14 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str
             stack.callback(capture.stop)  # before the file is closed, into which cameras write
         if settings.out is not None:
             remove_results(settings.out)
-        files = stack.enter_context(PoseFiles(settings.out, capture.up)) if settings.out else None
+        take.up = capture.up
+        files = stack.enter_context(PoseFiles(settings.out, take))
         everybody = None
         if settings.out is not None and settings.people > 1:
-            everybody = stack.enter_context(PeopleFiles(settings.out, capture.up))
+            everybody = stack.enter_context(PeopleFiles(settings.out, take))
         if settings.seconds is not None and isinstance(capture, LiveCapture):
             capture.stop_after(settings.seconds)
-        summary = _follow(capture, files, everybody, settings.seconds, console)
+        _follow(capture, take, files, everybody, settings.seconds, console)
     if not capture.books.poses:
         known = joined(capture.problems, 3)
         if capture.before_ready:
@@ -120,8 +125,8 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> dict[str
                 f"machine that takes longest: try again{known and f' ({known})'}"
             )
         raise InputError(f"no set of frames came: {known or 'are the cameras running?'}")
-    _tell(summary, settings, console)
-    return summary
+    _tell(files.summary, settings, console)
+    return files.summary
 
 
 def _capture(settings: LiveSettings, console: Console) -> LiveCapture | Replay:
@@ -146,25 +151,26 @@ def _capture(settings: LiveSettings, console: Console) -> LiveCapture | Replay:
 
 def _follow(
     capture: LiveCapture | Replay,
-    files: PoseFiles | None,
+    take: Take,
+    files: PoseFiles,
     everybody: PeopleFiles | None,
     seconds: float | None,
     console: Console,
-) -> dict[str, Any]:
-    """Take poses until the end; returns the summary, which is in ``files`` as well."""
+) -> None:
+    """Take poses until the end."""
     begun = drawn = time.monotonic()
     interrupted, taken = False, 0
-
     with Live(console=console, auto_refresh=False, transient=True) as screen:
         try:
             for live_pose in capture:
                 if not taken:  # what it takes to be ready is not part of it
                     begun = time.monotonic() - live_pose.latency_ms * 1e-3
                 taken += 1
+                take.begin(live_pose.synced.timestamp_ns)
                 assert capture.pipeline is not None
                 # What a filter that waits gives at first is not final.
                 delay = capture.pipeline.smoothing.delay_frames if capture.pipeline.smoothing else 0
-                if files is not None and taken > delay:
+                if taken > delay:
                     files.write(live_pose.pose)
                 if everybody is not None:
                     everybody.write({person.number: person.pose for person in live_pose.result.people}, delay)
@@ -181,48 +187,48 @@ def _follow(
             interrupted = True
         statuses = capture.statuses()
     with finishing():
-        return _finish(capture, files, everybody, statuses, time.monotonic() - begun, interrupted)
+        _finish(capture, files, everybody, statuses, time.monotonic() - begun, interrupted)
 
 
 def _finish(
     capture: LiveCapture | Replay,
-    files: PoseFiles | None,
+    files: PoseFiles,
     everybody: PeopleFiles | None,
     statuses: list[CameraStatus],
     seconds: float,
     interrupted: bool,
-) -> dict[str, Any]:
-    """Write what filters held back; returns the summary."""
+) -> None:
+    """Write what filters held back, and tell ``files`` what the summary needs."""
     for pose in capture.pipeline.finish() if capture.pipeline else []:
-        if files is not None:
-            files.write(pose)
+        files.write(pose)
     if everybody is not None and capture.pipeline is not None:
         everybody.finish(capture.pipeline.finish_people())
-    summary = {
+    smoothing = capture.pipeline.smoothing if capture.pipeline else None
+    cameras = {status.name: dataclasses.asdict(status) for status in statuses}
+    files.numbers = {
+        **capture.books.summary(),
         "seconds": seconds,
+        "frames_per_second": capture.books.poses / max(seconds, 1e-9),
         "interrupted": interrupted,
         "sets_dropped": capture.dropped,
         "sets_before_ready": capture.before_ready,
-        **capture.books.summary(),
-        "smoothing": capture.pipeline.smoothing.describe() if capture.pipeline and capture.pipeline.smoothing else None,
-        "cameras": {status.name: dataclasses.asdict(status) for status in statuses},
+        "smoothing": smoothing.describe() if smoothing else None,
+        "cameras": cameras,
+        "frames_by_camera": {name: each["counts"].get("used", 0) for name, each in cameras.items()},
+        "cameras_apart_cm": {name: 100 * apart_m for name, apart_m in capture.apart_m().items()},
         "problems": dict(capture.problems),
     }
-    if files is not None:
-        files.summary |= summary
-    return summary
 
 
-def _tell(summary: dict[str, Any], settings: LiveSettings, console: Console) -> None:
-    rate = summary["poses"] / max(summary["seconds"], 1e-9)
-    latency, dropped = summary["latency_ms"], summary["sets_dropped"]
+def _tell(summary: Summary, settings: LiveSettings, console: Console) -> None:
+    latency = summary["latency_ms"] or {"p50": float("nan"), "p95": float("nan")}
     console.print(
-        f"{summary['poses']} poses in {summary['seconds']:.1f} s ({rate:.1f} a second), {dropped} sets dropped, "
-        f"{summary['sets_before_ready']} before it was ready; "
+        f"{summary['frames']} poses in {summary['seconds']:.1f} s ({summary['frames_per_second']:.1f} a second), "
+        f"{summary['sets_dropped']} sets dropped, {summary['sets_before_ready']} before it was ready; "
         f"latency {latency['p50']:.0f} ms (p95 {latency['p95']:.0f} ms)"
     )
-    for problem, times in summary["problems"].items():
-        console.print(f"• {problem}{f' ({times} times)' if times > 1 else ''}")
+    for line in [*(unsure_lines(summary) if settings.out else []), *problem_lines(summary["problems"])]:
+        console.print(f"• {line}")
     for path in (settings.out, settings.record):
         if path is not None:
             console.print(f"written to {path}")

@@ -158,6 +158,10 @@ class LiveCapture:
         found = {source.name: source.raw_background for source in self._sources if source.name in opened}
         return {name: raw for name, raw in found.items() if raw is not None}
 
+    def apart_m(self) -> dict[str, float]:
+        """How far apart cameras see the person (metres): see ``pose.agreement``."""
+        return self._agreement.apart_m()
+
     def statuses(self) -> list[CameraStatus]:
         """Every camera now."""
         return self.gatherer.statuses()
@@ -250,6 +254,10 @@ class Replay:
     def problems(self) -> dict[str, int]:
         """What a user should know, one line each, and how often it was so."""
         return self.intake.problems.told()
+
+    def apart_m(self) -> dict[str, float]:
+        """How far apart cameras see the person (metres): see ``pose.agreement``."""
+        return self._agreement.apart_m()
 
     def statuses(self) -> list[CameraStatus]:
         """Every camera now."""

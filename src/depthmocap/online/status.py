@@ -39,7 +39,7 @@ class Books:
 
     def __init__(self) -> None:
         self.poses = self.seen = 0
-        self.latency, self.skew = Meter(), Meter()
+        self.latency, self.skew, self.frame = Meter(), Meter(), Meter()
         self.stages = {stage: Meter() for stage in STAGES}
         #: Sets in which each person was seen, by number, and who was seen in the last one.
         self.people: dict[int, int] = {}
@@ -61,17 +61,19 @@ class Books:
         self.seen += seen
         self.latency.add(latency_ms)
         self.skew.add(skew_ms)
+        self.frame.add(sum(milliseconds.values()))
         for stage, value in milliseconds.items():
             self.stages[stage].add(value)
 
     def summary(self) -> dict[str, Any]:
-        """Numbers of the whole run."""
+        """Numbers of the whole run, by keys of ``export.summary.Summary``."""
         return {
-            "poses": self.poses,
-            "poses_with_somebody": self.seen,
-            "poses_by_person": {str(number): count for number, count in sorted(self.people.items())},
+            "frames": self.poses,
+            "gaps": self.poses - self.seen,
+            "frames_by_person": {str(number): count for number, count in sorted(self.people.items())},
             "latency_ms": self.latency.overall(),
             "skew_ms": self.skew.overall(),
+            "ms_per_frame": self.frame.overall(),
             "ms_per_stage": {stage: meter.overall() for stage, meter in self.stages.items()},
         }
 

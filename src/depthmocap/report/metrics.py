@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, Integer
@@ -96,12 +97,14 @@ class Reliability:
     Attributes:
         confidence: mean of each bin.
         within_10cm: share (0–1) of its joints within 10 cm of the truth; a calibrated confidence equals it.
+        beyond_20cm: share of those further than 20 cm from it.
         joints: how many it holds.
         calibration_error: mean distance of the two over all joints; NaN without any.
     """
 
     confidence: tuple[float, ...]
     within_10cm: tuple[float, ...]
+    beyond_20cm: tuple[float, ...]
     joints: tuple[int, ...]
     calibration_error: float
 
@@ -109,13 +112,35 @@ class Reliability:
 def reliability(confidence: Float[ndarray, "t j"], errors_cm: Float[ndarray, "t j"]) -> Reliability:
     """Bins of the joints that have a confidence and an error; both NaN where unknown."""
     known = ~(np.isnan(confidence) | np.isnan(errors_cm))
-    sure, right = confidence[known].astype(np.float64), errors_cm[known] <= 10
+    sure, errors_cm = confidence[known].astype(np.float64), errors_cm[known]
     bins = np.minimum((sure * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
-    count, sums, hits = (np.bincount(bins, each, CONFIDENCE_BINS) for each in (None, sure, right))
+    count, sums, hits, misses = (
+        np.bincount(bins, each, CONFIDENCE_BINS) for each in (None, sure, errors_cm <= 10, errors_cm > 20)
+    )
     some = count > 0
-    means, shares = sums[some] / count[some], hits[some] / count[some]
-    off = float((np.abs(means - shares) * count[some]).sum() / count.sum()) if some.any() else float("nan")
-    return Reliability(tuple(means.tolist()), tuple(shares.tolist()), tuple(count[some].astype(int).tolist()), off)
+    means, near, far = sums[some] / count[some], hits[some] / count[some], misses[some] / count[some]
+    off = float((np.abs(means - near) * count[some]).sum() / count.sum()) if some.any() else float("nan")
+    shares = (tuple(each.tolist()) for each in (means, near, far))
+    return Reliability(*shares, joints=tuple(count[some].astype(int).tolist()), calibration_error=off)
+
+
+def joint_numbers(metrics: JointMetrics, confidence: Reliability | None = None) -> dict[str, Any]:
+    """What every evaluation tells of its joints, under the same names."""
+    numbers: dict[str, Any] = {
+        "mean_joint_error_cm": metrics.mean_joint_error_cm,
+        "deviation_cm": metrics.deviation_cm,
+        "within_10cm": metrics.within_10cm,
+        "mean_ap_10cm": metrics.mean_ap_10cm,
+        "per_joint_error_cm": metrics.per_joint_error_cm,
+        "per_joint_deviation_cm": metrics.per_joint_deviation_cm,
+        "per_joint_within_10cm": metrics.per_joint_within_10cm,
+        "curve": list(metrics.curve),
+        "joints_observed": metrics.observed,
+        "joints_missing": metrics.missing,
+    }
+    if confidence is not None:
+        numbers["reliability"] = dataclasses.asdict(confidence)
+    return numbers
 
 
 def _empty_confusion() -> Int[ndarray, "44 44"]:
