@@ -66,6 +66,18 @@ def test_training_shows_every_cut() -> None:
     assert set(drawn) == set(CUTS) and min(drawn.values()) > 20
 
 
+def test_a_share_is_cut_off() -> None:
+    recipe = dataclasses.replace(BENCH["seen"], views=1, noise="none")
+    some = Sampler(dataclasses.replace(recipe, cut="any", cut_share=0.5), 3)
+    cut = 0
+    for index in range(12):
+        (whole,), (part,) = Sampler(recipe, 3)(index).views, some(index).views
+        assert whole.mask is not None and part.mask is not None
+        assert not (part.mask & ~whole.mask).any()
+        cut += part.mask.sum() < whole.mask.sum()
+    assert 2 <= cut <= 10
+
+
 def test_what_is_cut_off_is_gone_from_every_view() -> None:
     whole, cut = (Sampler(dataclasses.replace(BENCH[name], noise="none"), 3)(1) for name in ("seen", "cut hips"))
     np.testing.assert_allclose(whole.joints, cut.joints)

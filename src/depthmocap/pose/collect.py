@@ -28,6 +28,9 @@ from depthmocap.settings import check_seed, claim_folder
 from depthmocap.synth.output.stream import stream
 from depthmocap.synth.sample import ANY_SENSOR, CameraRange, Recipe, Sample
 
+#: Of varied samples so many are cut off, and cameras stand nearer, higher and more askew.
+_CUT = 0.3
+_PLACES = CameraRange(distance_m=(0.8, 4.5), height_m=(0.1, 3.0), roll_rad=0.1, truncated=0.08)
 #: Samples a file.
 _CHUNK = 100
 
@@ -43,7 +46,8 @@ class PoseSamples:
         subset: who is in the samples: easy, inter, hard, or open (all builds); by default open bodies are made, and
             hard is read from a folder.
         views: numbers of cameras that the paper's features are made for; the largest is the number of a sample's.
-        vary: recombine, perturb and tilt the postures; without, they are as recorded, which suits the ridge.
+        vary: recombine, perturb and tilt the postures, and cut people off; without, they are as recorded, which suits
+            the ridge.
         frame: of the paper's features: world (the paper's), cloud (relative to its middle) or body (turned with it).
         workers: processes that make pictures; 0 makes them between the labelling.
     """
@@ -140,6 +144,8 @@ def _samples(settings: PoseSamples, first: int) -> Generator[Sample, None, None]
             settings.people, "train", max(settings.views), settings.postures, vary=settings.vary,
             sensors=(ANY_SENSOR,), noise="random", cameras=CameraRange(roll_rad=0.03, truncated=0.05),
         )  # fmt: skip
+        if settings.vary:
+            recipe = dataclasses.replace(recipe, cut="any", cut_share=_CUT, cameras=_PLACES)
         for _, sample in stream(recipe, settings.seed, first, settings.samples, settings.workers):
             yield sample
         return

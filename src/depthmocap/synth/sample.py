@@ -17,7 +17,7 @@ from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.geometry.transforms import look_at
 from depthmocap.settings import check_seed
-from depthmocap.synth.cut import CUTS, Cut, cut_plane
+from depthmocap.synth.cut import CUTS, Cut, cut_plane, random_cut
 from depthmocap.synth.motion.beyond import FAMILIES, Family
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, PostureSource, Variation, posture_source
 from depthmocap.synth.people.bodies import random_dressed
@@ -132,8 +132,9 @@ class Recipe:
         hands_on_body: everybody who can lays a hand or both on themselves: folded arms, hands on hips, at the chin.
         family: everybody is in a posture of a family that recordings hardly show: "floor" lying, kneeling, crawling,
             "acrobatic" kicks, splits, scales, bends, "air" any way up.
-        cut: of everybody all is hidden that lies below the knees, thighs, hips or chest, above the waist or the neck,
-            to one side, or beyond an edge of the picture.
+        cut: all is hidden of somebody that lies below the knees, thighs, hips or chest, above the waist or the neck, to
+            one side, or beyond an edge of the picture; "any" for each now and then.
+        cut_share: share of the people of whom something is hidden so.
     """
 
     subset: Subset = "hard"
@@ -149,15 +150,18 @@ class Recipe:
     seated: bool = False
     hands_on_body: bool = False
     family: Family | None = None
-    cut: Cut | None = None
+    cut: Cut | Literal["any"] | None = None
+    cut_share: float = 1.0
 
     def __post_init__(self) -> None:
         for option, value, known in (
             ("subset", self.subset, get_args(Subset)), ("split", self.split, get_args(Split)),
-            ("family", self.family, (*FAMILIES, None)), ("cut", self.cut, (*CUTS, None)),
+            ("family", self.family, (*FAMILIES, None)), ("cut", self.cut, (*CUTS, "any", None)),
         ):  # fmt: skip
             if value not in known:
                 raise InputError(f"--{option} takes {', '.join(filter(None, known))}, got {value!r}")
+        if not 0 <= self.cut_share <= 1:
+            raise InputError(f"--cut-share must be from 0 to 1, got {self.cut_share}")
         if self.views < 1:
             raise InputError(f"--views must be at least 1, got {self.views}")
         if not self.sensors:
@@ -226,7 +230,7 @@ def draw_sample(rng: np.random.Generator, recipe: Recipe, postures: PostureSourc
     scene = None
     if settings != OFF:
         scene = random_scene(rng, person, cameras, settings, lambda rng: random_person(rng, "open", postures))
-    cut_seed = int(rng.integers(2**31)) if recipe.cut is not None else 0
+    cut, cut_seed = _drawn_cut(rng, recipe)
     views = []
     for camera, preset in zip(cameras, presets, strict=True):
         rendering = see(person, scene, camera)
@@ -235,14 +239,25 @@ def draw_sample(rng: np.random.Generator, recipe: Recipe, postures: PostureSourc
             model = preset.model if recipe.noise == "sensor" else random_model(rng, preset)
             depth = sense(depth, rendering.material, camera, model, rng)
         mask, labels = rendering.person & (depth > 0), rendering.labels
-        if recipe.cut is not None:
+        if cut is not None:
             # Of a generator that every view starts anew: one table hides the same of a person from all cameras.
-            plane = cut_plane(np.random.default_rng(cut_seed), recipe.cut, person.joints, camera)
+            plane = cut_plane(np.random.default_rng(cut_seed), cut, person.joints, camera)
             hidden = rendering.person & ~plane.keeps(depth, camera)
             mask &= ~hidden
             depth, labels = np.where(hidden, 0, depth), np.where(hidden, 0, labels)
         views.append(View(camera, depth, mask, labels))
     return Sample(tuple(views), person.joints, group)
+
+
+def _drawn_cut(rng: np.random.Generator, recipe: Recipe) -> tuple[Cut | None, int]:
+    """How somebody is cut off, and the seed of the cut."""
+    if recipe.cut is None:
+        return None, 0
+    seed = int(rng.integers(2**31))
+    own = np.random.default_rng([seed, 1])
+    if own.random() >= recipe.cut_share:
+        return None, 0
+    return (random_cut(own) if recipe.cut == "any" else recipe.cut), seed
 
 
 class Sampler:
