@@ -196,7 +196,7 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
                 misplaced += agreement(result.cloud)
                 by_person.update(str(person.number) for person in result.people)
                 if settings.people > 1:
-                    everybody.write({person.number: person.pose for person in result.people}, delay)
+                    everybody.write(result.final)
                 if len(waiting) > delay:
                     finished(result.pose)
                 for view in frames.views:
@@ -209,7 +209,7 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
         last.enter_context(finishing())
         if interrupted:
             console.print(f"stopped after {len(rows)} of {len(source)} frames; writing what was done")
-        everybody.finish(pipeline.finish_people())
+        everybody.write(pipeline.finish_people())
         for pose in pipeline.finish():
             # An interruption may have come between the filter and this list.
             if waiting and waiting[0][0].timestamp_ns == pose.timestamp_ns:
@@ -223,7 +223,10 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
             "cameras_apart_cm": {name: 100 * apart_m for name, apart_m in agreement.apart_m().items()},
             "error": _error([row[0] for row in rows], [row[1] for row in rows]),
             "problems": count_problems(
-                dict.fromkeys(misplaced), getattr(source, "problems", []), getattr(pipeline.segment, "problems", [])
+                dict.fromkeys(misplaced),
+                getattr(source, "problems", []),
+                getattr(pipeline.segment, "problems", []),
+                everybody.problems,
             ),
         }
     if interrupted and not rows:

@@ -116,8 +116,12 @@ class LineFile:
         Raises:
             InputError: when it cannot be written; the lines before are in the file.
         """
-        rest, before = memoryview(f"{line}\n".encode()), self._file.tell()
+        rest = memoryview(f"{line}\n".encode())
         with writing(self._path):
+            if self._file.closed:
+                flags = os.O_WRONLY | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+                self._file = os.fdopen(os.open(self._path, flags), "ab", buffering=0)
+            before = self._file.tell()
             try:
                 while rest:
                     rest = rest[self._file.write(rest) or 0 :]
@@ -127,7 +131,7 @@ class LineFile:
                 raise
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file; a line that is added opens it again."""
         self._file.close()
 
 

@@ -20,7 +20,7 @@ from depthmocap.frames import FrameSet, Pose
 from depthmocap.people.segmenter import SeenPerson
 from depthmocap.pose.cloud import LabelledCloud, LabelledView, merge_views
 from depthmocap.pose.estimate import JointEstimator
-from depthmocap.pose.filter import PoseFilter
+from depthmocap.pose.filter import FORGET_S, PoseFilter
 
 STAGES = ("segment", "label", "merge", "joints", "smooth")
 
@@ -56,6 +56,8 @@ class Result:
         pose: of the person who is followed; its masks, labels and cloud come next.
         milliseconds: by stage, of everybody together.
         people: everybody, the one who is followed first, each with a pose that was smoothed by itself.
+        final: where several people are followed, by number the poses that became final with this set: this one's, or
+            an earlier one's where the filter waits, and what it held back of somebody who has gone.
     """
 
     pose: Pose
@@ -64,6 +66,25 @@ class Result:
     cloud: LabelledCloud
     milliseconds: dict[str, float]
     people: tuple[PersonResult, ...] = ()
+    final: dict[int, list[Pose]] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(eq=False)
+class _Smoothed:
+    """A person's filter, how many poses it was given, and the time of the last."""
+
+    filter: PoseFilter
+    given: int = 0
+    last_ns: int = 0
+
+    def __call__(self, pose: Pose) -> Pose:
+        self.given, self.last_ns = self.given + 1, pose.timestamp_ns
+        return self.filter(pose)
+
+    @property
+    def is_final(self) -> bool:
+        """Whether what the filter gave last will not be given again."""
+        return self.given > self.filter.delay_frames
 
 
 class Pipeline:
@@ -86,7 +107,7 @@ class Pipeline:
         """
         self._classifier, self._estimator, self.segment, self._up = classifier, estimator, segment, up
         self.smoothing = smoothing
-        self._filters: dict[int, PoseFilter] = {}
+        self._filters: dict[int, _Smoothed] = {}
 
     def reset(self) -> None:
         """Forget past poses and who was there; what is known of the empty scene is kept."""
@@ -101,7 +122,9 @@ class Pipeline:
 
     def finish_people(self) -> dict[int, list[Pose]]:
         """The same of everybody, by their numbers, where several people are followed."""
-        return {number: own.finish() for number, own in self._filters.items()}
+        held = {number: own.filter.finish() for number, own in self._filters.items()}
+        self._filters.clear()
+        return held
 
     def __call__(self, frames: FrameSet) -> Result:
         """Process one frame set. Without a person (or a view) the joints are NaN and their confidence 0."""
@@ -121,7 +144,8 @@ class Pipeline:
         raw = [Pose(frames.timestamp_ns, *self._estimator(cloud, self._up)) for cloud in clouds]
         clock.append(time.perf_counter())
         followed = raw[0] if self.smoothing is None else self.smoothing(raw[0])
-        poses = [self._smooth(person.number, pose, followed) for person, pose in zip(seen, raw, strict=False)]
+        final = self._gone(frames.timestamp_ns)
+        poses = [self._smooth(person.number, pose, followed, final) for person, pose in zip(seen, raw, strict=False)]
         clock.append(time.perf_counter())
         all_labels = [tuple(each.labels for each in own) for own in labelled]
         people = [
@@ -131,19 +155,31 @@ class Pipeline:
         return Result(
             followed, all_masks[0], all_labels[0], clouds[0],
             dict(zip(STAGES, (np.diff(clock) * 1e3).tolist(), strict=True)),
-            tuple(people),
+            tuple(people), final,
         )  # fmt: skip
 
     def _merge(self, frames: FrameSet, found: list[Found]) -> LabelledCloud:
         return merge_views([LabelledView(view, *each) for view, each in zip(frames.views, found, strict=True)])
 
-    def _smooth(self, number: int, pose: Pose, followed: Pose) -> Pose:
-        """A person's pose by a filter of their own; where one person is followed at most, that is the pipeline's."""
-        if self.smoothing is None:
-            return pose
+    def _gone(self, now_ns: int) -> dict[int, list[Pose]]:
+        """What filters held back of people whom they forget, by number; a filter begins anew when somebody returns."""
+        gone = [number for number, own in self._filters.items() if not 0 <= now_ns - own.last_ns <= FORGET_S * 1e9]
+        return {number: self._filters.pop(number).filter.finish() for number in gone}
+
+    def _smooth(self, number: int, pose: Pose, followed: Pose, final: dict[int, list[Pose]]) -> Pose:
+        """A person's pose by a filter of their own, and into ``final`` what is; where one person is followed at most,
+        that is the pipeline's."""
         if getattr(self.segment, "people", 1) == 1:
             return followed
+        if self.smoothing is None:
+            final[number] = [pose]
+            return pose
         if number not in self._filters:
-            self._filters[number] = copy.deepcopy(self.smoothing)
-            self._filters[number].reset()
-        return self._filters[number](pose)
+            own = copy.deepcopy(self.smoothing)
+            own.reset()
+            self._filters[number] = _Smoothed(own)
+        own = self._filters[number]
+        smoothed = own(pose)
+        if own.is_final:
+            final.setdefault(number, []).append(smoothed)
+        return smoothed

@@ -53,7 +53,7 @@ def test_a_person_s_folder_that_leads_elsewhere_is_refused(tmp_path: Path) -> No
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "person-1").symlink_to(tmp_path / "elsewhere")
     with PeopleFiles(tmp_path / "out", TAKE) as people, pytest.raises(InputError, match="person-1 is a link"):
-        people.write({1: poses()[0]})
+        people.write({1: poses()[:1]})
     assert list((tmp_path / "elsewhere").iterdir()) == []
 
 

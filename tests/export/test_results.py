@@ -11,6 +11,7 @@ from test_export import FRAME_NS, START_NS, moving_skeleton
 
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
+from depthmocap.export import files as files_module
 from depthmocap.export import read_bvh, read_csv, read_trc
 from depthmocap.export.csv import read_table
 from depthmocap.export.files import PeopleFiles, PoseFiles
@@ -38,7 +39,7 @@ def write(folder: Path, least_confidence: float = 0.2) -> None:
         for i, pose in enumerate(first):
             take.begin(pose.timestamp_ns)
             files.write(pose)
-            everybody.write({1: pose} | ({2: second[i - COMES_AT]} if i >= COMES_AT else {}))
+            everybody.write({1: [pose]} | ({2: [second[i - COMES_AT]]} if i >= COMES_AT else {}))
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +64,26 @@ def test_all_files_of_a_take_have_one_clock(taken: Path) -> None:
         assert summary["bvh_start_s"] == pytest.approx(start_s, abs=1e-9)
         np.testing.assert_allclose(read_bvh(folder / "pose.bvh")[0] + start_s, table.times_s, atol=1e-6)
     assert [read_summary(taken / f"person-{i}")["person"] for i in (1, 2)] == [1, 2]
+
+
+def test_however_many_people_come_and_return_few_files_are_open_and_no_pose_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(files_module, "MOST_OPEN", 2)
+    monkeypatch.setattr(files_module, "MOST_FOLDERS", 4)
+    files, own, before = Path("/dev/fd"), poses(12), 0
+    with PeopleFiles(tmp_path, Take("run", ["somewhere"], "z", 0.2)) as everybody:
+        if files.is_dir():
+            before = len(list(files.iterdir()))
+        for i, pose in enumerate(own):
+            everybody.write({1 + i % 5: [pose]})
+            assert not files.is_dir() or len(list(files.iterdir())) <= before + 2
+    assert everybody.problems == ["more than 4 people were followed: those who came last have no folder"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"person-{i}" for i in (1, 2, 3, 4)]
+    for i in range(4):
+        stamps = [pose.timestamp_ns for pose in own[i::5]]
+        assert read_table(tmp_path / f"person-{1 + i}" / "pose.csv").stamps_ns.tolist() == stamps
+        assert read_summary(tmp_path / f"person-{1 + i}")["frames"] == len(stamps)
 
 
 def test_joints_hardly_seen_are_gaps_in_trc_and_held_in_bvh(taken: Path) -> None:

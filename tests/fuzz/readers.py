@@ -233,7 +233,7 @@ def _label(folder: Path) -> None:
 class _Everywhere:
     """Finds one part of a body wherever a person is."""
 
-    def label_views(self, views: Any, masks: Any) -> Any:
+    def label_views(self, views: Any, masks: Any, *more: Any) -> Any:
         return [(mask.astype(np.uint8), mask.astype(np.float32), None) for mask in masks]
 
 

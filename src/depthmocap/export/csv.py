@@ -61,6 +61,11 @@ class CsvWriter:
             self._file.close()
             self._file = None
 
+    def rest(self) -> None:
+        """Hold no file open until the next pose."""
+        if self._file is not None:
+            self._file.close()
+
     def write(self, pose: Pose) -> None:
         """Append one pose."""
         if self.origin_ns is None:

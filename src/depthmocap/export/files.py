@@ -22,8 +22,8 @@ from depthmocap.output import make_inner_folder, writing
 #: What ``run`` and ``live`` write into a folder and into those of people; ``run`` pictures, too.
 RESULTS = ("pose.csv", "pose.trc", "pose.bvh", "summary.json")
 PICTURES = ("report.html", "preview.webp")
-#: Files of somebody who was not seen for longer than this are closed (s): people have their numbers back for a minute.
-CLOSED_AFTER_S = 65.0
+#: So many files of people are open at a time, and so many people have a folder.
+MOST_OPEN, MOST_FOLDERS = 16, 1000
 NOBODY = "no person was found in any set"
 _PERSON = re.compile(r"person-\d+")
 
@@ -104,6 +104,11 @@ class PoseFiles:
             self._poses.add(pose)
             self._last_ns = pose.timestamp_ns
 
+    def rest(self) -> None:
+        """Hold no file open until the next pose."""
+        if self._csv is not None:
+            self._csv.rest()
+
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
@@ -146,42 +151,40 @@ class PoseFiles:
 
 
 class PeopleFiles:
-    """A folder ``person-N`` of :class:`PoseFiles` for everybody who is followed. A context manager."""
+    """A folder ``person-N`` of :class:`PoseFiles` for everybody who is followed. A context manager.
+
+    Attributes:
+        problems: what a user should know, one line each.
+    """
 
     def __init__(self, folder: Path, take: Take) -> None:
         self._folder, self._take = folder, take
-        self._files: dict[int, PoseFiles] = {}
-        #: How many poses each has had.
-        self.poses: dict[int, int] = {}
-        self._last_ns: dict[int, int] = {}
+        self._files: dict[int, PoseFiles] = {}  # in the order in which they were written last
+        self.problems: list[str] = []
 
     def __enter__(self) -> PeopleFiles:
         return self
 
-    def write(self, poses: Mapping[int, Pose], delay_frames: int = 0) -> None:
-        """Append the poses of one set, by number; ``delay_frames`` is of their filter, whose first are not final.
+    def write(self, poses: Mapping[int, Sequence[Pose]]) -> None:
+        """Append final poses, by number.
 
         Raises:
-            InputError: when a folder cannot be written.
+            InputError: when a file cannot be written.
         """
-        for number, pose in poses.items():
-            self.poses[number] = self.poses.get(number, 0) + 1
-            self._last_ns[number] = pose.timestamp_ns
-            if number not in self._files:
+        for number, own in poses.items():
+            if number not in self._files and len(self._files) == MOST_FOLDERS:
+                self.problems = [f"more than {MOST_FOLDERS} people were followed: those who came last have no folder"]
+                continue
+            files = self._files.pop(number, None)
+            if files is None:
                 folder = self._folder / f"person-{number}"
                 make_inner_folder(folder)
-                self._files[number] = PoseFiles(folder, self._take, number).__enter__()
-            if self.poses[number] > delay_frames:
-                self._files[number].write(pose)
-        newest_ns = max(self._last_ns.values(), default=0)
-        for number in [n for n in self._files if newest_ns - self._last_ns[n] > CLOSED_AFTER_S * 1e9]:
-            self._files.pop(number).__exit__(None, None, None)
-
-    def finish(self, poses: Mapping[int, Sequence[Pose]]) -> None:
-        """Append what filters held back."""
-        for number, own in poses.items():
-            for pose in own if number in self._files else ():
-                self._files[number].write(pose)
+                files = PoseFiles(folder, self._take, number).__enter__()
+            self._files[number] = files
+            for pose in own:
+                files.write(pose)
+            if len(self._files) > MOST_OPEN:
+                list(self._files.values())[-1 - MOST_OPEN].rest()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

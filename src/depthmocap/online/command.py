@@ -173,7 +173,7 @@ def _follow(
                 if taken > delay:
                     files.write(live_pose.pose)
                 if everybody is not None:
-                    everybody.write({person.number: person.pose for person in live_pose.result.people}, delay)
+                    everybody.write(live_pose.result.final)
                 now = time.monotonic()
                 if now - drawn >= DRAW_S:
                     drawn = now
@@ -202,7 +202,7 @@ def _finish(
     for pose in capture.pipeline.finish() if capture.pipeline else []:
         files.write(pose)
     if everybody is not None and capture.pipeline is not None:
-        everybody.finish(capture.pipeline.finish_people())
+        everybody.write(capture.pipeline.finish_people())
     smoothing = capture.pipeline.smoothing if capture.pipeline else None
     cameras = {status.name: dataclasses.asdict(status) for status in statuses}
     files.numbers = {
@@ -216,7 +216,7 @@ def _finish(
         "cameras": cameras,
         "frames_by_camera": {name: each["counts"].get("used", 0) for name, each in cameras.items()},
         "cameras_apart_cm": {name: 100 * apart_m for name, apart_m in capture.apart_m().items()},
-        "problems": dict(capture.problems),
+        "problems": {**capture.problems, **dict.fromkeys(everybody.problems if everybody else (), 1)},
     }
 
 
