@@ -13,7 +13,7 @@ from depthmocap.pipeline import Pipeline
 class FakeClassifier:
     """Everything is region 1."""
 
-    def label_views(self, views, masks):
+    def label_views(self, views, masks, up="z"):
         return [Found(mask.astype(np.uint8), mask.astype(np.float32), np.full((18, 4), np.nan)) for mask in masks]
 
 
