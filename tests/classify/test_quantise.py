@@ -1,4 +1,4 @@
-"""The packaged network, and a larger one grown out of it, label in 8 bits as they do in 32."""
+"""A larger network is grown out of the packaged one, and both label in 8 bits as they do in 32."""
 
 from pathlib import Path
 
@@ -11,25 +11,68 @@ onnx = pytest.importorskip("onnx")
 
 import onnxruntime  # noqa: E402
 
+from depthmocap.classify import train  # noqa: E402
 from depthmocap.classify.data import training_window  # noqa: E402
 from depthmocap.classify.export import export_onnx  # noqa: E402
-from depthmocap.classify.networks import NETWORKS  # noqa: E402
+from depthmocap.classify.networks import AccurateNet, FastNet  # noqa: E402
 from depthmocap.classify.quantise import quantise  # noqa: E402
 from depthmocap.classify.runtime import Classifier, packaged_weights  # noqa: E402
-from depthmocap.classify.train import load_weights  # noqa: E402
+from depthmocap.classify.train import (  # noqa: E402
+    ClassifierTraining,
+    evaluate_windows,
+    load_weights,
+    train_classifier,
+)
+from depthmocap.errors import InputError  # noqa: E402
 from depthmocap.synth.motion.postures import posture_source  # noqa: E402
 
+WEIGHTS = packaged_weights().with_suffix(".safetensors")
 
-@pytest.mark.parametrize("name", ["fast", "accurate"])
-def test_same_labels_in_half_the_space(body_model, tmp_path, name):
-    network = NETWORKS[name]()
-    load_weights(network, packaged_weights().with_suffix(".safetensors"), grow=True)
-    source = export_onnx(network.eval(), tmp_path / "classifier.onnx", {"network": name})
+
+@pytest.fixture(scope="module")
+def grown(body_model, tmp_path_factory):
+    """A run of the accurate network that starts from the packaged fast one and learns next to nothing."""
+    settings = ClassifierTraining(
+        tmp_path_factory.mktemp("grown") / "run", network="accurate", images=4, batch=4, start=WEIGHTS, valid_images=2,
+        workers=0, average=0.0, learning_rate=1e-12,
+    )  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(train, "_CALIBRATION", 2)
+        train_classifier(settings)
+    return settings
+
+
+def test_the_accurate_network_starts_from_the_fast_one(grown):
+    fast, accurate = FastNet(), AccurateNet()
+    load_weights(fast, WEIGHTS)
+    load_weights(accurate, grown.out / "classifier.safetensors")
+    windows = grown.source.valid(2)
+    (expected, expected_m), (found, found_m) = (evaluate_windows(each, windows) for each in (fast, accurate))
+    assert found.pixel_accuracy == pytest.approx(expected.pixel_accuracy, abs=0.03) and expected.pixel_accuracy > 0.6
+    assert found_m == pytest.approx(expected_m, abs=0.02)
+    assert Classifier(grown.out / "classifier_int8.onnx", threads=1).network == "accurate"
+    with pytest.raises(InputError, match="does not hold weights of this network: Error"):
+        load_weights(fast, grown.out / "classifier.safetensors")
+
+
+@pytest.fixture(params=["fast", "accurate"])
+def exported(request, tmp_path):
+    """The packaged network and the one grown out of it, in 32 bits, and what their files tell."""
+    about = {"network": request.param, "images": "4"}
+    if request.param == "accurate":
+        return request.getfixturevalue("grown").out / "classifier.onnx", about
+    network = FastNet()
+    load_weights(network, WEIGHTS)
+    return export_onnx(network.eval(), tmp_path / "classifier.onnx", about), about
+
+
+def test_same_labels_in_half_the_space(body_model, exported, tmp_path):
+    source, about = exported
     postures = posture_source(None, "train")
     windows = [training_window(3, i, "open", postures, None).inputs for i in range(12)]
     path = quantise(source, windows[:8], tmp_path / "int8.onnx")
     assert path.stat().st_size < 0.6 * source.stat().st_size
-    assert {e.key: e.value for e in onnx.load(path).metadata_props} == {"network": name, "precision": "int8"}
+    assert {e.key: e.value for e in onnx.load(path).metadata_props} == {**about, "precision": "int8"}
     Classifier(path)  # a classifier like any other
 
     seen = windows[8:]

@@ -16,10 +16,9 @@ from safetensors.torch import load_file, save_file  # noqa: E402
 
 from depthmocap.body.model import BodyModel  # noqa: E402
 from depthmocap.body.regions import UNLABELLED  # noqa: E402
-from depthmocap.classify import train  # noqa: E402
-from depthmocap.classify.networks import AccurateNet, FastNet  # noqa: E402
+from depthmocap.classify.networks import FastNet  # noqa: E402
 from depthmocap.classify.paper import PaperNet  # noqa: E402
-from depthmocap.classify.runtime import Classifier, packaged_weights  # noqa: E402
+from depthmocap.classify.runtime import Classifier  # noqa: E402
 from depthmocap.classify.train import (  # noqa: E402
     ClassifierTraining,
     _make_optimiser,
@@ -30,6 +29,7 @@ from depthmocap.classify.train import (  # noqa: E402
 )
 from depthmocap.classify.windows import WindowSource  # noqa: E402
 from depthmocap.errors import InputError  # noqa: E402
+from quick_training import skip_export  # noqa: E402
 
 
 def test_paper_biases_learn_twice_as_fast() -> None:
@@ -72,8 +72,8 @@ def test_the_papers_network_learns_resumes_and_exports(
         tmp_path / "run", network="paper", subset="easy", images=4, batch=2, workers=0, valid_every=2, valid_images=2,
         average=0.0, schedule="constant", learning_rate=0.01, bfloat16=False,
     )  # fmt: skip
-    with monkeypatch.context() as patch:  # the file takes longer to make than this training
-        patch.setattr(train, "export_onnx", lambda network, path, metadata: path)
+    with monkeypatch.context() as patch:
+        skip_export(patch)
         train_classifier(settings)
     onnx = train_classifier(dataclasses.replace(settings, images=6))
     rows = [json.loads(line) for line in (settings.out / "history.jsonl").read_text().splitlines()]
@@ -118,14 +118,17 @@ def test_settings_that_cannot_be(change: dict, message: str, tmp_path: Path) -> 
         ClassifierTraining(tmp_path, **change)
 
 
-def test_what_is_kept_is_blended_with_what_it_started_from(body_model: BodyModel, tmp_path: Path) -> None:
+def test_what_is_kept_is_blended_with_what_it_started_from(
+    body_model: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    skip_export(monkeypatch)
     torch.manual_seed(1)
     started = FastNet()
     state = {k: v + 0.1 if v.is_floating_point() else v for k, v in started.state_dict().items()}
     start = tmp_path / "start.safetensors"
     save_file(state, start)
     settings = ClassifierTraining(
-        tmp_path / "run", images=16, batch=16, start=start, valid_images=1, workers=0, average=0.0
+        tmp_path / "run", images=2, batch=2, start=start, valid_images=1, workers=0, average=0.0
     )
     train_classifier(settings)
     kept = load_file(tmp_path / "run" / "classifier.safetensors")
@@ -137,28 +140,6 @@ def test_what_is_kept_is_blended_with_what_it_started_from(body_model: BodyModel
             expected = 0.75 * kept[name].float() + 0.25 * state[name].float()
             torch.testing.assert_close(now.float(), expected, rtol=2e-3, atol=2e-3)
     assert any((blended[name] != kept[name]).any() for name in kept)
-
-
-def test_the_accurate_network_starts_from_the_fast_one(
-    body_model: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(train, "_CALIBRATION", 2)
-    start = packaged_weights().with_suffix(".safetensors")
-    settings = ClassifierTraining(
-        tmp_path / "run", network="accurate", images=16, batch=16, start=start, valid_images=2, workers=0, average=0.0,
-        learning_rate=1e-12,
-    )  # fmt: skip
-    path = train_classifier(settings)
-    fast, accurate = FastNet(), AccurateNet()
-    load_weights(fast, start)
-    load_weights(accurate, path.with_name("classifier.safetensors"))
-    windows = settings.source.valid(2)
-    (expected, expected_m), (found, found_m) = (evaluate_windows(each, windows) for each in (fast, accurate))
-    assert found.pixel_accuracy == pytest.approx(expected.pixel_accuracy, abs=0.03) and expected.pixel_accuracy > 0.6
-    assert found_m == pytest.approx(expected_m, abs=0.02)
-    assert Classifier(path.with_name("classifier_int8.onnx"), threads=1).network == "accurate"
-    with pytest.raises(InputError, match="does not hold weights of this network: Error"):
-        load_weights(fast, path.with_name("classifier.safetensors"))
 
 
 def test_joint_loss() -> None:
