@@ -26,6 +26,7 @@ from depthmocap.pose.ridge import RidgeBank
 from depthmocap.pose.train import PoseTraining, train_pose
 from depthmocap.synth.output.generate import SynthSettings, generate
 from depthmocap.synth.sample import Recipe
+from quick_training import skip_export, skip_export_of_votes
 
 QUIET = Console(quiet=True)
 
@@ -148,7 +149,8 @@ def test_train_pose_from_a_folder(root, tmp_path):
         assert numbers["mean_joint_error_cm"] < 60  # 24 samples teach little, but not nothing
 
 
-def test_the_votes_learn_from_earlier_samples_too(root, tmp_path):
+def test_the_votes_learn_from_earlier_samples_too(root, tmp_path, monkeypatch):
+    skip_export_of_votes(monkeypatch)
     source = PoseSamples(str(root), subset="hard", samples=24, views=(2,))
     one, two = (
         collect(dataclasses.replace(source, views=views), tmp_path / f"of {views[0]}", QUIET) for views in ((2,), (3,))
@@ -191,12 +193,6 @@ def test_train_pose_in_the_world_from_synth(body_model, tmp_path):
 def test_pose_training_that_cannot_be(tmp_path, change, message):
     with pytest.raises(InputError, match=message):
         PoseTraining(tmp_path, **change)
-
-
-def skip_export(patch: pytest.MonkeyPatch) -> None:
-    """Let training end without the network's files for use, which take longer to make than a test's training."""
-    patch.setattr(train, "export_onnx", lambda network, path, metadata: path)
-    patch.setattr(train, "quantise", lambda source, windows, path: path)
 
 
 def test_train_classifier_resumes_and_exports(root, tmp_path, monkeypatch):
@@ -262,6 +258,7 @@ def test_a_run_that_is_interrupted_loses_no_step(root, tmp_path, monkeypatch):
 
 
 def test_votes_that_are_interrupted_are_kept(root, tmp_path, monkeypatch):
+    skip_export_of_votes(monkeypatch)
     source = PoseSamples(str(root), subset="hard", samples=24, views=(2,))
     settings = PoseTraining(tmp_path / "run", source, "votes", minutes=30.0)
     steps = iter(range(100))

@@ -18,7 +18,7 @@ pytest.importorskip("safetensors")
 from safetensors.torch import save_file  # noqa: E402
 
 from depthmocap.body.model import BodyModel  # noqa: E402
-from depthmocap.classify import ablations  # noqa: E402
+from depthmocap.classify import ablations, train  # noqa: E402
 from depthmocap.classify.ablations import ABLATIONS, AblationTraining, train_ablations  # noqa: E402
 from depthmocap.classify.networks import FastNet  # noqa: E402
 from depthmocap.classify.train import ClassifierTraining, load_weights, make_network, train_classifier  # noqa: E402
@@ -106,9 +106,10 @@ def test_without_mirror_images_every_picture_is_shown_once(body_model: BodyModel
     assert shown(True) > 1.5 * 8 * 400
 
 
-def test_a_short_run_lacks_and_resumes(body_model: BodyModel, tmp_path: Path) -> None:
+def test_a_short_run_lacks_and_resumes(body_model: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(train, "_CALIBRATION", 2)
     settings = ClassifierTraining(
-        tmp_path, images=128, valid_every=1000, valid_images=1, workers=0, without=("norm", "width", "mirror")
+        tmp_path, images=16, batch=2, valid_every=1000, valid_images=1, workers=0, without=("norm", "width", "mirror")
     )
     train_classifier(settings)
     made = network("norm", "width")
