@@ -1,9 +1,10 @@
-"""A network written as ONNX, its weights in half precision, gives what the network gives."""
+"""A network written as ONNX, its weights in half precision or in 8 bits, gives what the network gives."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -13,15 +14,36 @@ pytest.importorskip("onnxscript")
 
 import onnxruntime  # noqa: E402
 
+from depthmocap.body.model import BodyModel  # noqa: E402
+from depthmocap.classify import train  # noqa: E402
+from depthmocap.classify.data import training_window  # noqa: E402
 from depthmocap.classify.export import export_onnx  # noqa: E402
 from depthmocap.classify.networks import CLASSES, AccurateNet, FastNet  # noqa: E402
 from depthmocap.classify.preprocess import WINDOW  # noqa: E402
+from depthmocap.classify.quantise import quantise  # noqa: E402
+from depthmocap.classify.runtime import Classifier, packaged_weights  # noqa: E402
+from depthmocap.classify.train import (  # noqa: E402
+    ClassifierTraining,
+    evaluate_windows,
+    load_weights,
+    train_classifier,
+)
+from depthmocap.errors import InputError  # noqa: E402
+from depthmocap.synth.motion.postures import posture_source  # noqa: E402
+
+WEIGHTS = packaged_weights().with_suffix(".safetensors")
 
 
-def seasoned_network(kind: type[FastNet]) -> FastNet:
+def packaged_network() -> FastNet:
+    network = FastNet()
+    load_weights(network, WEIGHTS)
+    return network
+
+
+def seasoned_network() -> AccurateNet:
     """A random network whose batch norms do something, as after training."""
     torch.manual_seed(1)
-    network = kind()
+    network = AccurateNet()
     for module in network.modules():
         if isinstance(module, torch.nn.BatchNorm2d):
             torch.nn.init.uniform_(module.weight, 0.7, 1.5)
@@ -33,12 +55,25 @@ def seasoned_network(kind: type[FastNet]) -> FastNet:
     return network
 
 
-@pytest.fixture(scope="module", params=[FastNet, AccurateNet])
-def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[FastNet, Path]:
-    network = seasoned_network(request.param)
-    path = tmp_path_factory.mktemp("export") / "classifier.onnx"
+def export(network: FastNet, folder: Path) -> tuple[FastNet, Path]:
+    path = folder / "classifier.onnx"
     assert export_onnx(network, path, {"network": "fast", "images": "0"}) == path
     return network, path
+
+
+@pytest.fixture(scope="module")
+def fast(tmp_path_factory: pytest.TempPathFactory) -> tuple[FastNet, Path]:
+    return export(packaged_network(), tmp_path_factory.mktemp("fast"))
+
+
+@pytest.fixture(scope="module")
+def accurate(tmp_path_factory: pytest.TempPathFactory) -> tuple[FastNet, Path]:
+    return export(seasoned_network(), tmp_path_factory.mktemp("accurate"))
+
+
+@pytest.fixture(params=["fast", "accurate"])
+def exported(request: pytest.FixtureRequest) -> tuple[FastNet, Path]:
+    return request.getfixturevalue(request.param)
 
 
 def session(path: Path) -> onnxruntime.InferenceSession:
@@ -95,3 +130,68 @@ def test_the_network_is_left_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
         export_onnx(network, Path("classifier.onnx"), {})
     assert network.training
     assert all(torch.equal(value, before[name]) for name, value in network.state_dict().items())
+
+
+@pytest.fixture(scope="module")
+def grown(body_model: BodyModel, tmp_path_factory: pytest.TempPathFactory) -> ClassifierTraining:
+    """A run of the accurate network that starts from the packaged fast one and learns next to nothing."""
+    settings = ClassifierTraining(
+        tmp_path_factory.mktemp("grown") / "run", network="accurate", images=4, batch=4, start=WEIGHTS, valid_images=2,
+        workers=0, average=0.0, learning_rate=1e-12,
+    )  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(train, "_CALIBRATION", 2)
+        train_classifier(settings)
+    return settings
+
+
+def test_the_accurate_network_starts_from_the_fast_one(grown: ClassifierTraining) -> None:
+    fast, accurate = packaged_network(), AccurateNet()
+    load_weights(accurate, grown.out / "classifier.safetensors")
+    windows = grown.source.valid(2)
+    (expected, expected_m), (found, found_m) = (evaluate_windows(each, windows) for each in (fast, accurate))
+    assert found.pixel_accuracy == pytest.approx(expected.pixel_accuracy, abs=0.03) and expected.pixel_accuracy > 0.6
+    assert found_m == pytest.approx(expected_m, abs=0.02)
+    assert Classifier(grown.out / "classifier_int8.onnx", threads=1).network == "accurate"
+    with pytest.raises(InputError, match="does not hold weights of this network: Error"):
+        load_weights(fast, grown.out / "classifier.safetensors")
+
+
+@pytest.mark.parametrize("name", ["fast", "accurate"])
+def test_same_labels_in_8_bits_in_half_the_space(
+    name: str, body_model: BodyModel, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    """The packaged network, and the one grown out of it."""
+    if name == "fast":
+        source, about = request.getfixturevalue("fast")[1], {"network": name, "images": "0"}
+    else:
+        source, about = request.getfixturevalue("grown").out / "classifier.onnx", {"network": name, "images": "4"}
+    postures = posture_source(None, "train")
+    windows = [training_window(3, i, "open", postures, None).inputs for i in range(12)]
+    path = quantise(source, windows[:8], tmp_path / "int8.onnx")
+    assert path.stat().st_size < 0.6 * source.stat().st_size
+    assert {e.key: e.value for e in onnx.load(path).metadata_props} == {**about, "precision": "int8"}
+    Classifier(path)  # a classifier like any other
+
+    seen = windows[8:]
+    (sure, joints), (sure_8, joints_8) = (found(each, seen) for each in (source, path))
+    labels, labels_8 = sure.argmax(-1), sure_8.argmax(-1)
+    shown = sum(
+        np.count_nonzero(cv2.resize(each[1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)) for each in seen
+    )
+    assert labels.shape == labels_8.shape == (shown, 4)
+    assert (labels == labels_8).mean() > 0.94  # with pixels beside the person, which nothing has learnt
+    assert len(np.unique(labels_8)) > 20
+    # Places are sums of what is not in 8 bits.
+    assert np.median(np.linalg.norm((joints - joints_8)[..., :3], axis=-1)) < 0.01
+    # Only convolutions have become smaller.
+    kinds = {node.op_type for node in onnx.load(path).graph.node}
+    assert {"QuantizeLinear", "Softmax", "ReduceSum"} <= kinds
+
+
+def found(path: Path, windows: list[np.ndarray]) -> list[np.ndarray]:
+    """Probabilities (m, 4, 44) and joints (n, 18, 4) of n windows of any sizes."""
+    opened = session(path)
+    return [
+        np.concatenate(each) for each in zip(*(opened.run(None, {"windows": w[None]}) for w in windows), strict=True)
+    ]
