@@ -11,7 +11,6 @@ import numpy as np
 import tyro
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
-from PIL import Image, UnidentifiedImageError
 
 from depthmocap.classify.runtime import Classifier
 from depthmocap.errors import InputError
@@ -19,6 +18,7 @@ from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.output import check_outputs, write_file
 from depthmocap.owning import owns
+from depthmocap.reading.pictures import read_picture
 from depthmocap.settings import check_above_0
 
 #: Focal length as a share of the width where none is given: a horizontal field of view of 70°, as Kinect 2's.
@@ -72,18 +72,8 @@ def _check(settings: LabelSettings) -> None:
     )
 
 
-def _read(path: Path) -> ndarray:
-    try:
-        with Image.open(path) as image:
-            return np.array(image)
-    except FileNotFoundError:
-        raise InputError(f"{path} not found") from None
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
-        raise InputError(f"{path} is not a readable image: {error}") from None
-
-
 def _read_depth(settings: LabelSettings) -> tuple[Float[ndarray, "h w"], Bool[ndarray, "h w"]]:
-    image = _read(settings.depth)
+    image = read_picture(settings.depth)
     if settings.ubc3v:
         from depthmocap.datasets.ubc3v import decode_depth
 
@@ -122,7 +112,7 @@ def label_image(settings: LabelSettings) -> UInt8[ndarray, "h w"]:
     _check(settings)
     depth, person = _read_depth(settings)
     if settings.mask is not None:
-        mask = _read(settings.mask)
+        mask = read_picture(settings.mask)
         mask = mask if mask.ndim == 2 else mask[..., 3] if mask.shape[2] == 4 else mask.max(2)
         if mask.shape != depth.shape:
             raise InputError(f"{settings.mask} is {mask.shape}, but the depth image is {depth.shape} (height, width)")

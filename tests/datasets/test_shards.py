@@ -148,11 +148,16 @@ def test_damaged_samples_are_named(tmp_path):
         return json.dumps(document | values).encode()
 
     for name, data, message in [
-        ("000000000.cam1.depth.png", b"", "cannot be read"),
+        ("000000000.cam1.depth.png", b"", "not a complete PNG"),
         ("000000000.cam1.depth.png", members["000000000.cam1.labels.png"], "uint8"),
         ("000000000.json", b"{", "sample 000000000 is damaged"),
         ("000000000.json", b"[]", "sample 000000000 is damaged"),
+        ("000000000.json", 9999 * b"[", "brackets within one another"),
         ("000000000.json", changed(joints={}), "has no 'Head'"),
+        ("000000000.json", changed(joints={key: ["1", 2, 3] for key in document["joints"]}), "joints must be"),
+        ("000000000.json", changed(index=10**30), "index must be a whole number"),
+        ("000000000.json", changed(cameras=[document["cameras"][0] | {"fx": True}]), "fx must be a finite number"),
+        ("000000000.json", changed(cameras=[document["cameras"][0] | {"width": 10**6}]), "at most 64 million"),
         ("000000000.json", changed(cameras=[{}]), "has no 'distortion'"),
         ("000000000.cam3.depth.png", None, "has no 'cam3.depth.png'"),
     ]:
@@ -165,4 +170,4 @@ def test_damaged_samples_are_named(tmp_path):
                     tar.addfile(info, io.BytesIO(new))
         with pytest.raises(InputError, match=message) as caught:
             list(ShardReader(path))
-        assert str(path) in str(caught.value)
+        assert path.name in str(caught.value)

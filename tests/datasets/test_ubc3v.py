@@ -4,6 +4,7 @@ import dataclasses
 import errno
 import io
 import itertools
+import struct
 
 import numpy as np
 import pytest
@@ -354,7 +355,12 @@ def test_broken_images(tmp_path):
     path, _ = write_section(tmp_path, count=1)
     depth, labels = image_paths(path, "Cam1", 0)
     whole = depth.read_bytes()
-    for damage, message in [(whole[: len(whole) // 2], "damaged"), (b"", "damaged"), (b"not a PNG", "damaged")]:
+    bomb = whole[:16] + struct.pack(">II", 30_000, 30_000) + whole[24:]
+    cut = whole[:33] + whole[37:]  # within a chunk's length
+    for damage, message in [
+        (whole[: len(whole) // 2], "not a complete PNG"), (b"", "not a readable picture"),
+        (b"not a PNG", "not a readable picture"), (bomb, "at most 64 million"), (cut, "not a complete PNG"),
+    ]:  # fmt: skip
         depth.write_bytes(damage)
         assert_left_out(path, depth, message)
     Image.new("RGBA", (64, 64)).save(depth)
@@ -363,7 +369,7 @@ def test_broken_images(tmp_path):
     assert_left_out(path, depth, "got RGB 512×424")
     depth.write_bytes(whole)
     labels.write_bytes(labels.read_bytes()[:300])
-    assert_left_out(path, labels, "damaged")
+    assert_left_out(path, labels, "not a complete PNG")
 
 
 def test_a_damaged_image_costs_its_own_view_alone(tmp_path, caplog):

@@ -104,7 +104,7 @@ def test_what_is_not_an_evaluation(tmp_path):
     b = tmp_path / "b.json"
     with pytest.raises(InputError, match="not found"):
         compare(Comparison(a, b), QUIET)
-    for text, message in (("{", "is not JSON"), ("[1]", "holds no numbers"), ('{"a": {}}', "holds no numbers")):
+    for text, message in (("{", "is not valid JSON"), ("[1]", "holds no numbers"), ('{"a": {}}', "holds no numbers")):
         b.write_text(text)
         with pytest.raises(InputError, match=message):
             compare(Comparison(a, b), QUIET)

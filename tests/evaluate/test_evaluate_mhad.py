@@ -85,7 +85,7 @@ def test_joints_of_ones_own_tables(run, tmp_path, capsys, root):
         ('{"michel": ["Tail"]}', "'Tail'; the joints are Hips"),
         ('{"mine": ["RKnee"]}', "must be an object"),
         ('{"michel": []}', "must be a list of joints"),
-        ("{", "not a readable JSON file"),
+        ("{", "not valid JSON"),
     ):
         table.write_text(text)
         assert main(["evaluate", "mhad", str(root), f"--joint-table={table}"]) == 2

@@ -142,7 +142,7 @@ def test_files_that_are_not_there(folder, tmp_path):
         PanopticSet(tmp_path / "none")
     (folder / "synctables_dance1.json").write_text('{"hd"')
     source = PanopticSet(folder)
-    assert list(source) == [] and "synctables_dance1.json is not whole JSON" in source.problems[-1]
+    assert list(source) == [] and "synctables_dance1.json is not valid JSON" in source.problems[-1]
 
 
 class Scripted:

@@ -184,11 +184,12 @@ def test_bad_files_are_refused(tmp_path):
         np.savez(path, **(arrays | changes))
 
     for changes, message in (
-        ({"weights": np.zeros((1, 5, 54))}, "weights must have the shape"),
+        ({"weights": np.zeros((1, 5, 54))}, r"weights has the shape \(1, 5, 54\): expected \(1, 1032, 54\)"),
         ({"joints": np.array(["Nose"])}, "Nose"),
         ({"bias": np.full((1, 54), np.nan)}, "not finite"),
         ({"views": np.array([1, 2])}, "shape"),
-        ({"mean": np.full((1, FEATURE_COUNT), "a")}, "kind"),
+        ({"mean": np.full((1, FEATURE_COUNT), "a")}, "mean has the type <U1"),
+        ({"mean": np.full((1, FEATURE_COUNT), None)}, "pickles"),
     ):
         spoil(**changes)
         with pytest.raises(InputError, match=message):

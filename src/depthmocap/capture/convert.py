@@ -167,7 +167,7 @@ def recover(settings: RecoverSettings, console: Console | None = None) -> dict[s
                 is_image = channel.schema_name in (RAW_IMAGE, COMPRESSED_IMAGE)
                 frames += is_image and channel.metadata.get("kind") != "background"
         for problem in file.problems:
-            console.print(f"• {problem}", markup=False, highlight=False)
+            console.print(f"• {problem}")
         lost_bytes = 0 if file.complete else settings.source.stat().st_size - file.sound_end
     state = "was whole already" if lost_bytes == 0 and file.complete else f"ended with {lost_bytes} bytes of no use"
     console.print(

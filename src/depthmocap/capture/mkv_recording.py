@@ -7,7 +7,6 @@ is Matroska's (RFC 8794 and 9559) with the tags and tracks that the SDK's docume
 from __future__ import annotations
 
 import dataclasses
-import json
 import mmap
 from collections.abc import Iterator
 from typing import Any
@@ -22,6 +21,8 @@ from depthmocap.capture.sdk import checked
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.names import safe_name
+from depthmocap.reading.files import open_file
+from depthmocap.reading.json_text import parse_json
 
 #: Matroska's elements that hold others. They are walked through as if what is in them stood in a row, so that the sizes
 #: that a killed recorder did not write do not matter.
@@ -144,12 +145,12 @@ class MkvRecording(Recording):
 
     def _load(self) -> tuple[Rig, dict[str, list[int]]]:
         path = self.path
-        try:
-            with path.open("rb") as file:
+        with open_file(path) as file:
+            try:
                 self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        except (OSError, ValueError) as error:  # ValueError: an empty file
-            reason = error.strerror if isinstance(error, OSError) else "it is empty"
-            raise InputError(f"{path} cannot be read: {reason}") from None
+            except (OSError, ValueError) as error:  # ValueError: an empty file
+                reason = error.strerror if isinstance(error, OSError) else "it is empty"
+                raise InputError(f"{path} cannot be read: {reason}") from None
         if int.from_bytes(self._data[:4], "big") != _HEADER:
             raise InputError(f"{path} is not a Matroska file (MKV)")
         found = _read(self._data)
@@ -190,10 +191,10 @@ class MkvRecording(Recording):
         if attached is None:
             raise InputError(f"{self.path} has no calibration attached: was it written by k4arecorder?")
         try:
-            document = json.loads(attached.rstrip(b"\0"))
+            document = parse_json(attached.rstrip(b"\0"), f"{self.path}: the attached calibration")
             lenses = [_depth_lens(each) for each in document["CalibrationInformation"]["Cameras"]]
             cx, cy, fx, fy, *k, _, _, p2, p1 = next(each for each in lenses if each is not None)
-        except (ValueError, KeyError, TypeError, StopIteration):
+        except (ValueError, KeyError, TypeError, OverflowError, StopIteration):
             raise InputError(f"{self.path}: the attached calibration of the depth camera cannot be read") from None
         # The factory's numbers are shares of the square, whose corner is at the corner of its first pixel.
         side = mode.square

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -33,6 +32,8 @@ from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import DepthCamera, Rig, load_rig, save_rig
 from depthmocap.output import LineFile, write_file, writing
 from depthmocap.owning import LOCK_FILE, own_folder
+from depthmocap.reading.files import read_bytes
+from depthmocap.reading.pictures import LARGEST_PICTURE, decode_png, png_header
 
 BACKGROUND_FILE = "background.png"
 TRUTH_FILE = "truth.csv"
@@ -54,27 +55,16 @@ def read_depth_png(path: Path, camera: DepthCamera) -> UInt16[ndarray, "h w"]:
     Raises:
         InputError: when the file is unreadable, damaged, not 16-bit grey, or not of the camera's size.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}): check that it is a file you may read") from None
-    damaged = f"{path} is not a complete PNG: copy or record it again, or delete it"
-    # The header is checked before decoding: it names the fault exactly, and a cut file never reaches the decoder.
-    if len(data) < 33 or data[:8] != b"\x89PNG\r\n\x1a\n" or b"IEND" not in data[-64:]:
-        raise InputError(damaged)
-    width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
-    if (bits, colour) != (16, 0):
-        kind = {0: "grey", 2: "RGB", 3: "palette", 4: "grey and alpha", 6: "RGBA"}.get(colour, "unknown")
+    data = read_bytes(path, LARGEST_PICTURE)
+    width, height, bits, kind = png_header(data, str(path))
+    if (bits, kind) != (16, "grey"):
         raise InputError(f"{path} is {bits}-bit {kind}: depth must be 16-bit grey, raw depth units, 0 where invalid")
     if (width, height) != (camera.width, camera.height):
         raise InputError(
             f"{path} is {width}×{height} but rig.json says {camera.width}×{camera.height} for camera "
             f"{camera.name!r}: correct its width, height and intrinsics, or the frames"
         )
-    raw = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if raw is None or raw.dtype != np.uint16 or raw.shape != (height, width):
-        raise InputError(damaged)
-    return raw
+    return decode_png(data, str(path))
 
 
 class UnfitFrameError(InputError):

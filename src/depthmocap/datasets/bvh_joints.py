@@ -15,6 +15,7 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from depthmocap.errors import InputError
+from depthmocap.reading.files import read_text
 
 _POSITIONS = ("Xposition", "Yposition", "Zposition")
 
@@ -75,8 +76,8 @@ def read_bvh_joints(path: Path) -> BvhJoints:
     Raises:
         InputError: when it is missing, malformed or cut off, or has numbers that are not finite.
     """
+    lines = [line.strip() for line in read_text(path).splitlines()]
     try:
-        lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
         if "MOTION" not in lines:
             raise ValueError("it has no MOTION section")
         motion = lines.index("MOTION")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import json
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -25,6 +25,8 @@ from depthmocap.datasets.annotated import AnnotatedFrame, near_joints
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import DepthCamera
+from depthmocap.reading.files import check_file, open_file
+from depthmocap.reading.json_text import read_json
 from depthmocap.text import joined
 
 #: How the person is told from the room: by what stands still in the sequence, by a box around the true joints, or not.
@@ -49,13 +51,11 @@ def joint_table(path: Path) -> dict[int, str]:
     Raises:
         InputError: when it is not of this form, or two ids share a name.
     """
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-        table = {int(number): str(name) for number, name in document.items()}
-    except FileNotFoundError:
-        raise InputError(f'{path} not found: --names takes a JSON file such as {{"0": "Head", "1": "Neck"}}') from None
-    except (OSError, ValueError, AttributeError) as error:
-        raise InputError(f'{path} must be JSON such as {{"0": "Head", "1": "Neck"}}: {error}') from None
+    example = '{"0": "Head", "1": "Neck"}'
+    document = read_json(path, f"--names takes a JSON file such as {example}")
+    if not isinstance(document, dict) or not all(re.fullmatch("[0-9]{1,9}", number) for number in document):
+        raise InputError(f"{path} must be JSON such as {example}")
+    table = {int(number): str(name) for number, name in document.items()}
     if not table or len(set(table.values())) < len(table):
         raise InputError(f"{path}: joint ids need names of their own, got {', '.join(table.values()) or 'none'}")
     return table
@@ -126,7 +126,12 @@ class Eval:
                 yield AnnotatedFrame((view,), joints, sequence.subject, sequence.action, sequence.number(row))
 
     def _open(self, path: Path) -> _Sequence | None:
-        count, rest = divmod(path.stat().st_size, RECORD.itemsize)
+        try:
+            size = check_file(path).st_size
+        except InputError as error:
+            self._problems[str(error)] = None
+            return None
+        count, rest = divmod(size, RECORD.itemsize)
         if rest:
             self._problems[
                 f"{path} ends within a record (of {RECORD.itemsize} bytes): its {count} whole ones are read; "
@@ -135,7 +140,8 @@ class Eval:
         if not count:
             return None
         try:
-            return _Sequence(path, np.memmap(path, RECORD, "r", shape=(count,)))
+            with open_file(path) as file:
+                return _Sequence(path, np.memmap(file, RECORD, "r", shape=(count,)))
         except InputError as error:
             self._problems[str(error)] = None
             return None

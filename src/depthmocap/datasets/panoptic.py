@@ -13,6 +13,7 @@ Public code does not agree on whether M_color or its inverse leads to the colour
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,11 +24,12 @@ from numpy import ndarray
 
 from depthmocap.capture.segment import PersonSegmenter
 from depthmocap.datasets.annotated import AnnotatedFrame
-from depthmocap.datasets.panoptic_files import HEIGHT, WIDTH, MColor, at, kinect_camera, read_depth, read_json
+from depthmocap.datasets.panoptic_files import HEIGHT, WIDTH, MColor, at, kinect_camera, read_depth, sensors_of
 from depthmocap.datasets.volume import Volume, scene_background
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.reading.json_text import array, read_json
 
 PANOPTIC_JOINTS = (
     "Neck", "Nose", "BodyCenter", "LShoulder", "LElbow", "LWrist", "LHip", "LKnee", "LAnkle",
@@ -47,6 +49,8 @@ NEAREST_MS = 17.0
 #: Joints of less confidence are taken as unknown; the set marks those it did not find by a negative one.
 CONFIDENCE = 0.2
 _SAMPLES = 24
+#: Files of joints, by frame.
+_NUMBERED = re.compile(r"body3DScene_[0-9]{1,9}")
 #: The true joints must lie on the person in this share of the sampled views of each Kinect.
 _LEAST_ON_PERSON = 0.5
 #: The place in the table of times that a frame of joints has, from its number.
@@ -122,7 +126,7 @@ class PanopticSequence:
         own, dome = self._json("kcalibration"), self._json("calibration")
         times = self._json("ksynctables")
         self.times_ms: dict[int, ndarray] = {}
-        for kinect in kinects or range(1, len(at(own, "sensors", default=[])) + 1):
+        for kinect in kinects or range(1, len(sensors_of(own)) + 1):
             path = self._depth_path(kinect)
             if not path.is_file():
                 self.problems.append(f"{folder.name}: Kinect {kinect} left out, {path} not found")
@@ -136,7 +140,7 @@ class PanopticSequence:
             )
         self.hd_ms = self._times(self._json("synctables"), "synctables", "hd")
         bodies = folder / "hdPose3d_stage1_coco19"
-        self.bodies = sorted(bodies.glob("body3DScene_*.json"))
+        self.bodies = sorted(path for path in bodies.glob("body3DScene_*.json") if _NUMBERED.fullmatch(path.stem))
         if not self.bodies:
             raise InputError(f"{bodies} holds no body3DScene_<frame>.json: unpack hdPose3d_stage1_coco19.tar")
 
@@ -201,15 +205,11 @@ class PanopticSequence:
         return self.folder / "kinect_shared_depth" / f"KINECTNODE{kinect}" / "depthdata.dat"
 
     def _times(self, table: Any, kind: str, *keys: str) -> Float[ndarray, "n"]:
+        path, where = f"{self.folder / kind}_{self.folder.name}.json", ".".join((*keys, "univ_time"))
         times = at(table, *keys, "univ_time", default=None)
-        try:
-            found = np.asarray(times, np.float64)
-        except (TypeError, ValueError):
-            found = np.zeros(0)
-        if found.ndim != 1 or not len(found):
-            where = ".".join((*keys, "univ_time"))
-            raise InputError(f"{self.folder / kind}_{self.folder.name}.json must hold the times {where}")
-        return found
+        if not isinstance(times, list) or not times:
+            raise InputError(f"{path} must hold the times {where}")
+        return array(times, (len(times),), f"{path}: {where}")
 
     def _joints(self, path: Path) -> Float[ndarray, "19 3"]:
         """The only person's joints, metres."""
@@ -219,10 +219,9 @@ class PanopticSequence:
             raise InputError(f"{path} must hold bodies")
         if len(bodies) != 1:
             raise InputError("nobody is in them" if not bodies else "several people are in them")
-        try:
-            table = np.array(bodies[0]["joints19"], np.float64).reshape(len(PANOPTIC_JOINTS), 4)
-        except (KeyError, TypeError, ValueError):
-            raise InputError(f"{path}: joints19 must be 19 × (x, y, z, confidence)") from None
+        size = 4 * len(PANOPTIC_JOINTS)
+        table = array(at(bodies[0], "joints19", default=None), (size,), f"{path}: joints19 (x, y, z, confidence)")
+        table = table.reshape(-1, 4)
         joints = np.where(table[:, 3:] >= self.confidence, table[:, :3] / 100, np.nan)
         if not np.isfinite(joints).all(1).any():
             raise InputError(f"no joint of confidence {self.confidence:g} or more is in them")

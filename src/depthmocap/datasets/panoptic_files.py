@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,28 +10,13 @@ from jaxtyping import Float, UInt16
 from numpy import ndarray
 
 from depthmocap.errors import InputError
-from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.geometry.cameras import DepthCamera, check_camera
 from depthmocap.geometry.transforms import is_rigid, rigid_inverse
+from depthmocap.reading.files import open_file
 
 WIDTH, HEIGHT = 512, 424
 #: Whether M_color leads from a Kinect's frame to its colour camera, or back.
 MColor = Literal["to-colour", "from-colour"]
-
-
-def read_json(path: Path) -> Any:
-    """A JSON document.
-
-    Raises:
-        InputError: when it is missing, cut off or not JSON.
-    """
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path} not found") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}") from None
-    except ValueError as error:
-        raise InputError(f"{path} is not whole JSON: {error}") from None
 
 
 def at(document: Any, *keys: str, default: Any) -> Any:
@@ -42,6 +26,12 @@ def at(document: Any, *keys: str, default: Any) -> Any:
             return default
         document = document[key]
     return document
+
+
+def sensors_of(own: Any) -> list[Any]:
+    """What the document kcalibration holds of each Kinect."""
+    sensors = at(own, "sensors", default=[])
+    return sensors if isinstance(sensors, list) else []
 
 
 def _pose(rows: Any) -> Float[ndarray, "4 4"]:
@@ -61,7 +51,7 @@ def read_depth(path: Path, frame: int) -> UInt16[ndarray, "424 512"]:
         InputError: when the file ends before it.
     """
     pixels = WIDTH * HEIGHT
-    with path.open("rb") as file:
+    with open_file(path) as file:
         raw = np.fromfile(file, "<u2", pixels, offset=2 * pixels * frame)
     if len(raw) < pixels:
         raise InputError(f"{path} is cut off: it has {path.stat().st_size // (2 * pixels)} frames")
@@ -79,11 +69,12 @@ def kinect_camera(folder: Path, own: Any, dome: Any, kinect: int, m_color: MColo
         InputError: when the Kinect or a number is missing, or a pose is not rigid.
     """
     path, dome_path = (folder / f"{kind}_{folder.name}.json" for kind in ("kcalibration", "calibration"))
-    sensors = at(own, "sensors", default=[])
+    sensors = sensors_of(own)
     if kinect > len(sensors):
         raise InputError(f"{path} has {len(sensors)} sensors, so no Kinect {kinect}")
     name = f"50_{kinect:02d}"
     cameras = at(dome, "cameras", default=[])
+    cameras = cameras if isinstance(cameras, list) else []
     colour = next((each for each in cameras if at(each, "name", default="") == name), None)
     if colour is None:
         raise InputError(f"{dome_path} has no camera {name}")
@@ -93,7 +84,7 @@ def kinect_camera(folder: Path, own: Any, dome: Any, kinect: int, m_color: MColo
         k1, k2, p1, p2, k3 = np.array(sensor["distCoeffs_depth"], np.float64).ravel()[:5].tolist()
         local_colour, depth_from_local = _pose(sensor["M_color"]), _pose(sensor["M_depth"])
         colour_from_world = _pose(np.hstack([np.reshape(colour["R"], (3, 3)), np.reshape(colour["t"], (3, 1))]))
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{path} and {dome_path.name}: Kinect {kinect} cannot be read: {error}") from None
     colour_from_world[:3, 3] /= 100
     if not all(is_rigid(pose) for pose in (local_colour, depth_from_local, colour_from_world)):
@@ -103,4 +94,6 @@ def kinect_camera(folder: Path, own: Any, dome: Any, kinect: int, m_color: MColo
         raise InputError(f"{path}: K_depth of Kinect {kinect} is not of a {WIDTH}×{HEIGHT} picture")
     colour_from_local = local_colour if m_color == "to-colour" else rigid_inverse(local_colour)
     pose = rigid_inverse(colour_from_world) @ colour_from_local @ rigid_inverse(depth_from_local)
-    return DepthCamera(f"Kinect {kinect}", WIDTH, HEIGHT, fx, fy, cx, cy, pose, (k1, k2, p1, p2, k3))
+    camera = DepthCamera(f"Kinect {kinect}", WIDTH, HEIGHT, fx, fy, cx, cy, pose, (k1, k2, p1, p2, k3))
+    check_camera(camera, f"{path}: Kinect {kinect}")
+    return camera

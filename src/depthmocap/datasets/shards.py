@@ -23,7 +23,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
@@ -32,8 +31,11 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.datasets.png import grey_png
 from depthmocap.errors import InputError
 from depthmocap.frames import View
-from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.geometry.cameras import DepthCamera, check_camera
 from depthmocap.output import open_new
+from depthmocap.reading.files import open_file
+from depthmocap.reading.json_text import array, number, parse_json, whole_number
+from depthmocap.reading.pictures import LARGEST_PICTURE, decode_png
 
 SAMPLES_PER_SHARD = 250
 _CAMERA_NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
@@ -164,7 +166,7 @@ def count_samples(path: Path) -> int:
 
 def _whole(path: Path) -> tarfile.TarFile:
     """The archive, if its end is there: Python reads on until it is not, without a word."""
-    with path.open("rb") as file:
+    with open_file(path) as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(size - _END_OF_TAR, 0))
         if file.read() != bytes(_END_OF_TAR):
@@ -200,6 +202,8 @@ def _read_shard(path: Path) -> Iterator[ShardSample]:
             file = tar.extractfile(member)
             if file is None:
                 continue
+            if member.size > LARGEST_PICTURE:
+                raise tarfile.ReadError(f"{member.name} has {member.size:,} bytes")
             data = file.read()
             if len(data) < member.size:
                 raise EOFError(f"{member.name} is cut off")
@@ -214,13 +218,12 @@ def _read_shard(path: Path) -> Iterator[ShardSample]:
 
 def _sample(path: Path, key: str, members: Mapping[str, bytes]) -> ShardSample:
     try:
-        document = json.loads(members["json"])
-        joints = np.array([document["joints"][name] for name in JOINTS], dtype=np.float64)
-        if joints.shape != (len(JOINTS), 3):
-            raise ValueError(f"joints must be {len(JOINTS)} points")
+        document = parse_json(members["json"], "its JSON")
+        joints = array([document["joints"][name] for name in JOINTS], (len(JOINTS), 3), "joints", unknown=True)
         cameras = [_camera(entry) for entry in document["cameras"]]
         views = tuple(_view(camera, f"cam{i}", members) for i, camera in enumerate(cameras, 1))
-        return ShardSample(int(document["index"]), views, joints, int(document["group"]), document)
+        index, group = (whole_number(document[key], key) for key in ("index", "group"))
+        return ShardSample(index, views, joints, group, document)
     except (KeyError, TypeError, ValueError) as error:
         reason = f"has no {error}" if isinstance(error, KeyError) else str(error)
         raise InputError(f"{path}: sample {key} is damaged: {reason}; {_MEND}") from None
@@ -239,9 +242,7 @@ def _view(camera: DepthCamera, name: str, members: Mapping[str, bytes]) -> View:
 
 
 def _picture(data: bytes, camera: DepthCamera, dtype: type) -> ndarray:
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    if image is None:
-        raise ValueError("a picture cannot be read")
+    image = decode_png(data, "a picture")
     if image.dtype != dtype or image.shape != (camera.height, camera.width):
         raise ValueError(f"a picture is {image.dtype} {image.shape}, not {dtype.__name__} of its camera's size")
     return image
@@ -258,11 +259,16 @@ def _camera_entry(camera: DepthCamera) -> dict[str, Any]:
 
 
 def _camera(entry: Mapping[str, Any]) -> DepthCamera:
-    k1, k2, p1, p2, k3 = entry["distortion"]
-    return DepthCamera(
-        entry["name"],
-        **{key: entry[key] for key in _CAMERA_NUMBERS},
-        world_from_camera=np.array(entry["world_from_camera"], dtype=np.float64).reshape(4, 4),
+    k1, k2, p1, p2, k3 = array(entry["distortion"], (5,), "distortion").tolist()
+    numbers = {key: number(entry[key], key) for key in ("fx", "fy", "cx", "cy")}
+    camera = DepthCamera(
+        str(entry["name"]),
+        whole_number(entry["width"], "width"),
+        whole_number(entry["height"], "height"),
+        **numbers,
+        world_from_camera=array(entry["world_from_camera"], (4, 4), "world_from_camera"),
         distortion=(k1, k2, p1, p2, k3),
-        depth_unit_m=entry["depth_unit_m"],
+        depth_unit_m=number(entry["depth_unit_m"], "depth_unit_m"),
     )
+    check_camera(camera, f"camera {camera.name}")
+    return camera

@@ -21,8 +21,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Num, UInt8
 from numpy import ndarray
-from PIL import Image
-from scipy.io import loadmat
 
 from depthmocap.body.regions import REGION_COUNT, UBC3V_COLOURS, UNLABELLED
 from depthmocap.body.skeleton import JOINTS
@@ -30,6 +28,8 @@ from depthmocap.datasets.ubc3v_camera import KINECT2, camera_pose, kinect2_camer
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry.transforms import z_up_from
+from depthmocap.reading.matlab import read_mat
+from depthmocap.reading.pictures import read_picture
 
 _LOG = logging.getLogger(__name__)
 
@@ -160,12 +160,7 @@ def encode_labels(labels: UInt8[ndarray, "h w"]) -> UInt8[ndarray, "h w 4"]:
 
 
 def _load_mat(path: Path, **options: Any) -> dict[str, Any]:
-    if not path.is_file():
-        raise InputError(f"{path} not found: expected {_LAYOUT}")
-    try:
-        return loadmat(path, squeeze_me=True, **options)
-    except Exception as error:  # scipy raises many types for damaged files
-        raise InputError(f"{path} is not a readable MATLAB file (v5 to v7): {error}; fetch or write it again") from None
+    return read_mat(path, f"expected {_LAYOUT}", squeeze_me=True, **options)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -224,16 +219,7 @@ def read_ground_truth(path: Path) -> GroundTruth:
 
 
 def _read_png(path: Path) -> UInt8[ndarray, "h w 4"]:
-    try:
-        with Image.open(path) as image:
-            if image.mode != "RGBA" or image.size != (KINECT2.width, KINECT2.height):
-                raise InputError(
-                    f"{path}: expected an RGBA image of {KINECT2.width}×{KINECT2.height}, "
-                    f"got {image.mode} {image.width}×{image.height}"
-                )
-            return np.array(image)
-    except (OSError, SyntaxError) as error:  # Pillow's errors for damaged files
-        raise InputError(f"{path} is damaged: {error}; fetch or write it again") from None
+    return read_picture(path, "RGBA", (KINECT2.width, KINECT2.height))
 
 
 class Section:

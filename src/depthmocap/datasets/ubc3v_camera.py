@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from scipy.io import loadmat
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from depthmocap.errors import InputError
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.geometry.transforms import is_rigid, z_up_from
+from depthmocap.reading.matlab import read_mat
 
 #: Pinhole fit to the ray table of the authors' toolkit, in pixels of the stored images: within a pixel on average up
 #: to 250 px from the centre, and up to 33 px off in the corners.
@@ -118,12 +118,7 @@ def load_ray_table(path: Path) -> RayTableCamera:
     """
     path = Path(path)
     size = (KINECT2.height, KINECT2.width)
-    if not path.is_file():
-        raise InputError(f"{path} not found: give the mapper.mat of the UBC3V toolkit, or no ray table")
-    try:
-        mat = loadmat(path, squeeze_me=True)
-    except Exception as error:  # scipy raises many types for damaged files
-        raise InputError(f"{path} is not a readable MATLAB file (v5 to v7): {error}; fetch it again") from None
+    mat = read_mat(path, "give the mapper.mat of the UBC3V toolkit, or no ray table", squeeze_me=True)
     for value in mat.values():
         names = getattr(getattr(value, "dtype", None), "names", None) or ()
         for x_name, y_name in (("x", "y"), ("xmap", "ymap")):

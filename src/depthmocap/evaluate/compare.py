@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,9 @@ from rich.table import Table
 
 from depthmocap.console import Terminal
 from depthmocap.errors import InputError
-from depthmocap.evaluate.evaluation_report import Numbers, measures
+from depthmocap.evaluate.evaluation_report import MEASURE_KEYS, Numbers, measures
 from depthmocap.export.summary import Summary, check_summary
+from depthmocap.reading.json_text import array, read_json
 
 #: What tells a set: two results may be compared only where these agree.
 _OF_THE_SET = ("subset", "split", "frames", "joints", "seed", "clips")
@@ -45,18 +45,17 @@ def load_results(path: Path) -> Mapping[str, Numbers]:
     Raises:
         InputError: when it is not such a file.
     """
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path} not found: give a file that an evaluation wrote with --json") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path} is not JSON: {error}") from None
+    document = read_json(path, "give a file that an evaluation wrote with --json")
     if isinstance(document, dict) and "schema" in document:
         document = _of_summary(path, check_summary(path, document))
     if isinstance(document, dict) and "mean_joint_error_cm" in document:  # of one set, such as UBC3V's
         document = {f"{document.get('subset', 'all')}/{document.get('split', 'all')}": document}
     if not isinstance(document, dict) or not document or not all(map(_is_result, document.values())):
         raise InputError(f"{path} holds no numbers of joints: give a file that an evaluation wrote with --json")
+    for name, numbers in document.items():
+        single = {key: numbers[key] for key in MEASURE_KEYS if key in numbers}
+        for key, value in {**single, **numbers["per_joint_error_cm"]}.items():
+            array(value, (), f"{path}: {key} of {name}", unknown=True)
     return document
 
 
@@ -74,7 +73,13 @@ def _of_summary(path: Path, summary: Summary) -> dict[str, Numbers]:
 
 
 def _is_result(numbers: Any) -> bool:
-    return isinstance(numbers, dict) and isinstance(numbers.get("per_joint_error_cm"), dict) and "frames" in numbers
+    return (
+        isinstance(numbers, dict)
+        and isinstance(numbers.get("per_joint_error_cm"), dict)
+        and "frames" in numbers
+        and all(isinstance(numbers.get(key) or {}, dict) for key in ("about", "recipe"))
+        and isinstance(numbers.get("true_joints") or "", str)
+    )
 
 
 def compare(settings: Comparison, console: Console | None = None) -> dict[str, dict[str, tuple[float, float]]]:

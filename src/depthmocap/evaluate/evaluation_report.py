@@ -77,6 +77,10 @@ def about(settings: Outputs) -> dict[str, Any]:
     return {"depthmocap": __version__, **kept}
 
 
+#: The numbers of a result that :func:`measures` tells.
+MEASURE_KEYS: tuple[str, ...] = tuple(key for key, *_ in _MEASURES)
+
+
 def measures(numbers: Numbers) -> dict[str, tuple[int | float, str]]:
     """The single numbers that a result has, in the units of the tables: by words, value and unit."""
     return {

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tyro
-from PIL import Image, UnidentifiedImageError
 from rich.console import Console
 from rich.table import Table
 
@@ -21,6 +19,8 @@ from depthmocap.frames import View
 from depthmocap.geometry.cameras import DepthCamera
 from depthmocap.output import check_outputs, write_json
 from depthmocap.owning import owns
+from depthmocap.reading.json_text import array, read_json
+from depthmocap.reading.pictures import read_picture
 
 #: Regions that a joint seen from any side may lie on; R and L are added for its side.
 ALLOWED: dict[str, tuple[str, ...]] = {
@@ -70,6 +70,20 @@ def _allowed(joint: str) -> list[int]:
     return [REGION[f"{name} {side}"] for name in ALLOWED[kind]]
 
 
+def _read_joints(path: Path) -> dict[str, dict[str, tuple[float, float, float]]]:
+    """Place and confidence of joints by picture and name."""
+    document = read_json(path)
+    if not isinstance(document, dict) or not all(isinstance(joints, dict) for joints in document.values()):
+        raise InputError(f"{path} must hold {{picture: {{joint: [u, v, confidence]}}}}")
+    people: dict[str, dict[str, tuple[float, float, float]]] = {}
+    for name, joints in document.items():
+        people[name] = {}
+        for joint, place in joints.items():
+            u, v, confidence = array(place, (3,), f"{path}: {joint} of {name}").tolist()
+            people[name][joint] = (u, v, confidence)
+    return people
+
+
 @owns(files=("json",))
 def evaluate_labels2d(settings: Labels2dEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Count joints on a region of their own, and on the other side's; returns the numbers.
@@ -78,12 +92,7 @@ def evaluate_labels2d(settings: Labels2dEvaluation, console: Console | None = No
         InputError: files that are missing or not of the layout.
     """
     path = settings.folder / "joints2d.json"
-    try:
-        people = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path} not found") from None
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path} is not valid JSON: {error}") from None
+    people = _read_joints(path)
     classifier = Classifier(settings.weights)
     right: dict[str, int] = {}
     total: dict[str, int] = {}
@@ -94,13 +103,10 @@ def evaluate_labels2d(settings: Labels2dEvaluation, console: Console | None = No
         if not picture.is_file():
             continue
         pictures += 1
-        try:
-            with Image.open(picture) as image:
-                depth = np.array(image).astype(np.float32) * np.float32(settings.depth_unit)
-        except (UnidentifiedImageError, OSError) as error:
-            raise InputError(f"{picture} is not a readable image: {error}") from None
+        depth = read_picture(picture)
         if depth.ndim != 2:
             raise InputError(f"{picture}: depth must be one channel, got shape {depth.shape}")
+        depth = depth.astype(np.float32) * np.float32(settings.depth_unit)
         height, width = depth.shape
         focal = settings.fx or 1.07 * width
         camera = DepthCamera("camera", width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)

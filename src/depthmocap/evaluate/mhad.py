@@ -8,7 +8,6 @@ system errs there. For Michel's joints the fit leaves out one subject, or one ac
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,7 @@ from depthmocap.evaluate.protocol import Refit, comparable, leave_one_out, measu
 from depthmocap.geometry.transforms import transform_points
 from depthmocap.owning import owns
 from depthmocap.pose.estimate import JointEstimator, load_estimator
+from depthmocap.reading.json_text import read_json
 from depthmocap.report.metrics import joint_errors_cm
 
 #: A true hand is in the cloud if a point of it is this near: the breadth of a hand, and the error of both systems.
@@ -179,10 +179,7 @@ def read_joint_tables(path: Path | None) -> dict[str, tuple[str, ...]]:
     """
     if path is None:
         return JOINT_TABLES
-    try:
-        tables = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path} is not a readable JSON file: {error}") from None
+    tables = read_json(path)
     if not isinstance(tables, dict) or not tables or not set(tables) <= set(JOINT_TABLES):
         raise InputError(f'{path} must be an object of lists of joints: {{"reliable": [...], "michel": [...]}}')
     for name, joints in tables.items():

@@ -17,9 +17,14 @@ from depthmocap.frames import FrameSet, Pose
 from depthmocap.output import replacing, write_file
 from depthmocap.pose.cloud import label_people, merge_views
 from depthmocap.pose.estimate import JointEstimator
+from depthmocap.reading.arrays import ArrayType, read_npz, why
+from depthmocap.reading.files import read_text
 
 _SETTINGS = "estimates.json"
-_ARRAYS = ("timestamps_ns", "truth", "joints", "confidence")
+_ARRAYS = {
+    "timestamps_ns": ArrayType("t", "i"), "truth": ArrayType("t 18 3", "f"), "joints": ArrayType("v t 18 3", "f"),
+    "confidence": ArrayType("v t 18", "f"),
+}  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -62,7 +67,7 @@ class TrackStore:
         """
         self._folder = folder
         path, text = folder / _SETTINGS, json.dumps(settings, indent=1, default=str) + "\n"
-        if path.exists() and path.read_text(encoding="utf-8") != text:
+        if path.exists() and read_text(path) != text:
             raise InputError(f"{path} is of other settings: choose another --out, or delete that folder")
         write_file(path, text)
 
@@ -76,10 +81,10 @@ class TrackStore:
         if not path.exists():
             return None
         try:
-            with np.load(path) as data:
-                return Track(str(data["name"]), *(data[key] for key in _ARRAYS))
-        except (OSError, ValueError, KeyError, EOFError) as error:
-            raise InputError(f"{path} is not a file of estimates ({error}): delete it") from None
+            data = read_npz(path, {"name": ArrayType("", "U"), **_ARRAYS})
+        except InputError as error:
+            raise InputError(f"{path} is not a file of estimates ({why(error, path)}): delete it") from None
+        return Track(str(data["name"]), *(data[key] for key in _ARRAYS))
 
     def save(self, index: int, track: Track) -> None:
         """Keep a track; a file is there whole or not at all."""

@@ -24,6 +24,7 @@ from depthmocap.export.bone_rotations import (
 from depthmocap.export.timeline import LEAST_CONFIDENCE, Y_UP_FROM_Z_UP, even_frames, timeline
 from depthmocap.frames import Pose
 from depthmocap.output import write_file
+from depthmocap.reading.files import read_text
 
 _CM = 100.0
 _ROTATIONS = "Zrotation Xrotation Yrotation"
@@ -126,16 +127,14 @@ def read_bvh(path: Path) -> tuple[Float[ndarray, " t"], Float[ndarray, "t 18 3"]
     Raises:
         InputError: when the file is missing, or is not such a file.
     """
+    lines = [line for line in read_text(path).splitlines() if line.strip()]
     try:
-        lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
         motion = [line.strip() for line in lines].index("MOTION")
         offsets = _read_offsets(lines[1:motion])
         count = int(lines[motion + 1].removeprefix("Frames:"))
         frame_s = float(lines[motion + 2].removeprefix("Frame Time:"))
         rows = np.array([line.split() for line in lines[motion + 3 :]], dtype=np.float64)
         rows = rows.reshape(count, 3 + 3 * len(JOINTS))
-    except FileNotFoundError:
-        raise InputError(f"{path} not found") from None
     except (ValueError, IndexError) as error:
         raise InputError(f"{path} is not a BVH file written by depthmocap: {error}") from None
     local = np.empty((count, len(JOINTS), 3, 3))

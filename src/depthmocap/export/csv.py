@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import io
 from collections.abc import Sequence
 from decimal import Decimal
 from pathlib import Path
@@ -17,6 +18,7 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
 from depthmocap.frames import Pose
 from depthmocap.output import LineFile
+from depthmocap.reading.files import read_text
 
 TIME, STAMP = "time_s", "timestamp_ns"
 _POSITION_COLUMNS = [f"{joint}_{axis}" for joint in JOINTS for axis in "xyz"]
@@ -139,13 +141,11 @@ def read_table(path: Path) -> PoseTable:
         InputError: when the file is missing or empty, lacks a column, or has a cell that is not a number or times
             that go back.
     """
+    text = read_text(path)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if row]
-    except FileNotFoundError:
-        raise InputError(f"{path} not found") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path} cannot be read as CSV: {error}") from error
+        rows = [row for row in csv.reader(io.StringIO(text)) if row]
+    except csv.Error as error:
+        raise InputError(f"{path} cannot be read as CSV: {error}") from None
     if len(rows) < 2:
         raise InputError(f"{path} holds no rows: expected a header line and one line per pose")
     columns = {name.strip(): i for i, name in enumerate(rows[0])}

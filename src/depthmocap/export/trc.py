@@ -14,6 +14,7 @@ from depthmocap.errors import InputError
 from depthmocap.export.timeline import LEAST_CONFIDENCE, Y_UP_FROM_Z_UP, timeline
 from depthmocap.frames import Pose
 from depthmocap.output import write_file
+from depthmocap.reading.files import read_text
 
 _KEYS = (
     "DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames",
@@ -64,12 +65,7 @@ def read_trc(path: Path) -> tuple[Float[ndarray, " t"], Float[ndarray, "t 18 3"]
     Raises:
         InputError: when the file is missing, or is not such a file.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").split("\n")
-    except FileNotFoundError:
-        raise InputError(f"{path} not found") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path} is not a text file") from None
+    lines = read_text(path).split("\n")
     if not lines[0].startswith("PathFileType\t4") or len(lines) < _HEADER_LINES:
         raise InputError(f"{path} is not a TRC file")
     header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))

@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import itertools
-import zipfile
 from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Literal
@@ -24,6 +23,7 @@ from depthmocap.output import replacing
 from depthmocap.pose.cloud import LABELS, LabelledView, Labels, label_people, merge_views
 from depthmocap.pose.features import FEATURE_COUNT, FeatureFrame, cloud_features
 from depthmocap.pose.parts import PART_COLUMNS, PART_COUNT, part_statistics
+from depthmocap.reading.arrays import ArrayType, read_npz, why
 from depthmocap.settings import check_seed, claim_folder
 from depthmocap.synth.output.stream import stream
 from depthmocap.synth.sample import ANY_SENSOR, CameraRange, Recipe, Sample
@@ -217,18 +217,25 @@ def _stack(rows: list[dict[str, ndarray]]) -> dict[str, ndarray]:
 
 
 def _read(files: list[Path], settings: PoseSamples) -> Collected:
+    wanted = {"joints": ArrayType("n 18 3", "f"), "groups": ArrayType("n", "iu")}
+    for labels in LABELS:
+        wanted[f"parts {labels}"] = ArrayType(f"n v {PART_COUNT} {PART_COLUMNS}", "f")
+        for count in settings.views:
+            key = f"{labels} {count}"
+            wanted[f"features {key}"] = ArrayType(f"{labels}{count} {FEATURE_COUNT}", "f")
+            wanted[f"targets {key}"] = ArrayType(f"{labels}{count} 18 3", "f")
+            wanted[f"members {key}"] = ArrayType(f"{labels}{count}", "iu")
     chunks = []
     for file in files:
         try:
-            with np.load(file, allow_pickle=False) as archive:
-                chunks.append({name: archive[name] for name in archive.files})
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-            raise InputError(f"{file} cannot be read ({error}): remove it, and it is made again") from None
+            chunks.append(read_npz(file, wanted))
+        except InputError as error:
+            what = f"remove it, and it is made again, or give the --views that it has, not {settings.views}"
+            raise InputError(f"{file} cannot be read ({why(error, file)}): {what}") from None
     if not chunks:
         raise InputError("no samples with joints: give a folder that train pose collected, or data that has joints")
-    lacking = [count for count in settings.views if f"features true {count}" not in chunks[0]]
-    if lacking:
-        raise InputError(f"{files[0].parent} has no features of {lacking} views: collect them with --views")
+    if len({chunk[f"parts {LABELS[0]}"].shape[1] for chunk in chunks}) > 1:
+        raise InputError(f"{files[0].parent} holds samples of different numbers of cameras: collect them anew")
     all_of = {name: np.concatenate([chunk[name] for chunk in chunks]) for name in chunks[0]}
     return Collected(
         {labels: all_of[f"parts {labels}"] for labels in LABELS},

@@ -12,8 +12,6 @@ gives W = V diag(1 / (s + strength)) Vᵀ Xᵀ Y for every strength.
 from __future__ import annotations
 
 import dataclasses
-import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import cast, get_args
@@ -27,6 +25,8 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
 from depthmocap.output import replacing
 from depthmocap.pose.features import FEATURE_COUNT, FeatureFrame
+from depthmocap.reading.arrays import ArrayType, read_npz, why
+from depthmocap.reading.files import check_file
 
 #: Strengths among which cross-validation chooses.
 STRENGTHS = np.logspace(-1, 6, 15)
@@ -271,29 +271,26 @@ def _save(models: tuple[RidgePose, ...], path: Path) -> None:
         )
 
 
+_ARRAYS = {
+    "joints": ArrayType("j", "U"), "mean": ArrayType(f"m {FEATURE_COUNT}", "f"),
+    "scale": ArrayType(f"m {FEATURE_COUNT}", "f"), "bias": ArrayType(f"m {3 * len(JOINTS)}", "f"),
+    "weights": ArrayType(f"m {FEATURE_COUNT} {3 * len(JOINTS)}", "f"), "strength": ArrayType("m", "f"),
+    "clip": ArrayType("m", "f"), "views": ArrayType("m", "i"), "frame": ArrayType("m", "U"),
+    "labels": ArrayType("m", "U"),
+}  # fmt: skip
+
+
 def _load(path: Path) -> tuple[RidgePose, ...]:
+    check_file(path, "a pose model is made by fit_ridge and saved as .npz")
     try:
-        with path.open("rb") as file, zipfile.ZipFile(file):  # a lone .npy would load as an array
-            file.seek(0)
-            with np.load(file, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
-    except FileNotFoundError:
-        raise InputError(f"{path} not found: a pose model is made by fit_ridge and saved as .npz") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(f"{path} is not a pose model (.npz): {error}") from None
-    if str(arrays.get("format")) != _FORMAT:
-        raise InputError(f"{path} is not a pose model of the format {_FORMAT!r}")
-    outputs = 3 * len(JOINTS)
-    expected = {
-        "mean": (FEATURE_COUNT,), "scale": (FEATURE_COUNT,), "weights": (FEATURE_COUNT, outputs), "bias": (outputs,),
-        "strength": (), "frame": (), "views": (), "labels": (), "clip": (),
-    }  # fmt: skip
-    count = len(np.atleast_1d(arrays.get("views", [])))
-    for name, shape in expected.items():
-        kind = {"labels": "U", "frame": "U", "views": "i"}.get(name, "f")
-        if name not in arrays or arrays[name].shape != (count, *shape) or arrays[name].dtype.kind != kind:
-            raise InputError(f"{path}: {name} must have the shape {(count, *shape)} and a type of kind {kind!r}")
-    joints = tuple(np.atleast_1d(arrays.get("joints", [])).tolist())
+        version = str(read_npz(path, {"format": ArrayType("", "U")})["format"])
+        if version != _FORMAT:
+            raise InputError(f"it is of the format {version!r}, not {_FORMAT!r}")
+        arrays = read_npz(path, _ARRAYS)
+    except InputError as error:
+        raise InputError(f"{path} is not a pose model (.npz): {why(error, path)}") from None
+    count = len(arrays["views"])
+    joints = tuple(arrays["joints"].tolist())
     if joints != JOINTS:
         raise InputError(f"{path} predicts the joints {joints}, expected {JOINTS}")
     frames = arrays["frame"].tolist()

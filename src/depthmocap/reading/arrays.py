@@ -57,41 +57,38 @@ def check_type(shape: tuple[int, ...], dtype: Any, wanted: ArrayType, sides: dic
         raise InputError(f"{what} has the shape {shape}: expected ({expected})")
 
 
-def read_npz(path: Path, wanted: Mapping[str, ArrayType] | None = None, missing: str = "") -> dict[str, ndarray]:
-    """Arrays of an .npz file by name; of those that are wanted, all must be there, and others are left alone.
+def read_npz(path: Path, wanted: Mapping[str, ArrayType], largest: int = LARGEST_ARRAYS) -> dict[str, ndarray]:
+    """Arrays of an .npz file by name; all must be there, and others are left alone.
 
     Args:
-        wanted: by name; None for all that are there, whatever they are.
-        missing: what to do when there is no such file, for the message.
+        wanted: types by name.
+        largest: bytes that all of them may have.
 
     Raises:
         InputError: when the file cannot be read or is another kind of file, is damaged, holds pickles, lacks an array,
-            or has one of another shape or type or more than :data:`LARGEST_ARRAYS`.
+            or has one of another shape or type or more than may be.
     """
-    with open_file(path, missing) as file:
+    with open_file(path) as file:
         try:
             with zipfile.ZipFile(file) as archive:
-                return _read(archive, path, wanted)
+                return _read(archive, path, wanted, largest)
         except InputError:
             raise
         except Exception as error:  # zipfile and NumPy raise many types for damaged files
             raise InputError(f"{path} is not a readable .npz file, or cut off: {_line(error)}") from None
 
 
-def _read(archive: zipfile.ZipFile, path: Path, wanted: Mapping[str, ArrayType] | None) -> dict[str, ndarray]:
+def _read(archive: zipfile.ZipFile, path: Path, wanted: Mapping[str, ArrayType], largest: int) -> dict[str, ndarray]:
     members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-    if absent := [name for name in wanted or () if name not in members]:
+    if absent := [name for name in wanted if name not in members]:
         raise InputError(f"{path} lacks the array {absent[0]!r}")
-    names = list(members if wanted is None else wanted)
-    if (total := sum(members[name].file_size for name in names)) > LARGEST_ARRAYS:
-        raise InputError(f"{path} holds {total / 1e6:,.0f} MB: at most {LARGEST_ARRAYS / 1e6:,.0f} MB are read")
+    if (total := sum(members[name].file_size for name in wanted)) > largest:
+        raise InputError(f"{path} holds {total / 1e6:,.0f} MB: at most {largest / 1e6:,.0f} MB are read")
     sides: dict[str, int] = {}
-    types = {name: _header(archive, members[name], f"{path}: {name}") for name in names}
-    for name, (shape, dtype) in types.items():
-        if wanted is not None:
-            check_type(shape, dtype, wanted[name], sides, f"{path}: {name}")
+    for name, kind in wanted.items():
+        check_type(*_header(archive, members[name], f"{path}: {name}"), kind, sides, f"{path}: {name}")
     arrays = {}
-    for name in names:
+    for name in wanted:
         with archive.open(members[name]) as member:
             arrays[name] = np.lib.format.read_array(member, allow_pickle=False)
             member.read(1)  # past the last byte, where the checksum is compared
@@ -113,3 +110,8 @@ def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo, what: str) -> tuple
 
 def _line(error: Exception) -> str:
     return (str(error) or type(error).__name__).splitlines()[0]
+
+
+def why(error: InputError, path: Path) -> str:
+    """What an error says of a file, for a message that names it already."""
+    return str(error).removeprefix(f"{path}: ").removeprefix(f"{path} ")

@@ -57,7 +57,7 @@ def png_header(data: bytes, where: str) -> PngHeader:
         InputError: when it has none, or its size is beyond :func:`check_picture_size`.
     """
     if len(data) < 33 or data[:8] != _SIGNATURE or data[12:16] != b"IHDR":
-        raise InputError(f"{where} is not a complete PNG")
+        raise InputError(_damaged(where))
     width, height, bits, colour = _IHDR.unpack_from(data, 16)
     check_picture_size(width, height, where)
     return PngHeader(width, height, bits, _KINDS.get(colour, "unknown"))
@@ -72,7 +72,7 @@ def decode_png(data: bytes, where: str) -> Shaped[ndarray, "h w ..."]:
     header = _check_png(data, where)
     picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if picture is None or picture.shape[:2] != (header.height, header.width):
-        raise InputError(f"{where} is not a complete PNG")
+        raise InputError(_damaged(where))
     return picture
 
 
@@ -112,8 +112,12 @@ def _check_png(data: bytes, where: str) -> PngHeader:
     # A cut file never reaches a decoder: some fill up what is missing, others write to the terminal.
     header = png_header(data, where)
     if not _is_whole(data):
-        raise InputError(f"{where} is not a complete PNG")
+        raise InputError(_damaged(where))
     return header
+
+
+def _damaged(where: str) -> str:
+    return f"{where} is not a complete PNG: copy or record it again, or delete it"
 
 
 def _is_whole(data: bytes) -> bool:

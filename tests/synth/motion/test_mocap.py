@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -238,11 +239,11 @@ def test_truncated_files(tmp_path: Path, default_body: Body, share: float) -> No
 
 
 def test_missing_and_binary_files(tmp_path: Path, default_body: Body) -> None:
-    with pytest.raises(InputError, match="not a readable BVH file"):
+    with pytest.raises(InputError, match=r"none\.bvh not found"):
         read_bvh(tmp_path / "none.bvh", heads(default_body))
     path = tmp_path / "clip.bvh"
     path.write_bytes(bytes(range(256)) * 10)
-    with pytest.raises(InputError, match="not a readable BVH file"):
+    with pytest.raises(InputError, match="not text in UTF-8"):
         read_bvh(path, heads(default_body))
 
 
@@ -275,6 +276,18 @@ def test_folder_errors(tmp_path: Path, default_body: Body) -> None:
     (tmp_path / "manifest.csv").write_text("clip,words\na.bvh,walk\n")
     with pytest.raises(InputError, match=r"manifest\.csv.*columns file and description"):
         load_clips(tmp_path)
+    (tmp_path / "manifest.csv").write_bytes("file,description\na.bvh,läuft\n".encode("latin-1"))
+    with pytest.raises(InputError, match=r"manifest\.csv is not text in UTF-8"):
+        load_clips(tmp_path)
+    (tmp_path / "manifest.csv").write_text("file,description\na.bvh," + 200_000 * "x" + "\n")
+    with pytest.raises(InputError, match=r"manifest\.csv cannot be read as CSV"):
+        load_clips(tmp_path)
+    if hasattr(os, "mkfifo"):
+        (tmp_path / "manifest.csv").unlink()
+        (tmp_path / "a.bvh").unlink()
+        os.mkfifo(tmp_path / "a.bvh")  # to which nobody writes
+        with pytest.raises(InputError, match=r"none of its 1 clips is readable; a\.bvh: cannot be read: it is a pipe"):
+            load_clips(tmp_path)
 
 
 def test_flips_are_left_out(tmp_path: Path, default_body: Body) -> None:

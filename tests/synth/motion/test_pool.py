@@ -161,7 +161,9 @@ def test_pool_as_a_source_of_postures(tmp_path: Path) -> None:
         posture_source(path, "test", simple=True)
 
 
-@pytest.mark.parametrize("content", ["empty", "text", "half", "array", "other archive", "other version", "torn"])
+@pytest.mark.parametrize(
+    "content", ["empty", "text", "half", "array", "other archive", "other version", "torn", "flat", "deep", "report"]
+)
 def test_damaged_and_foreign_files(tmp_path: Path, content: str) -> None:
     path = tmp_path / "pool.npz"
     small_pool().save(path)
@@ -171,12 +173,16 @@ def test_damaged_and_foreign_files(tmp_path: Path, content: str) -> None:
             np.save(handle, np.ones(3))
     elif content == "other archive":
         np.savez(path, weights=np.ones(2))
-    elif content in ("other version", "torn"):
+    elif content in ("other version", "torn", "flat", "deep", "report"):
         with np.load(path) as data:
             arrays = dict(data)
-        arrays |= {"format": np.array("depthmocap posture pool 9")} if content == "other version" else {
-            "clips": arrays["clips"][:-1]
-        }  # fmt: skip
+        arrays |= {
+            "other version": {"format": np.array("depthmocap posture pool 9")},
+            "torn": {"clips": arrays["clips"][:-1]},
+            "flat": {"postures": np.int16(3)},
+            "deep": {"report": np.array(9999 * "[")},
+            "report": {"report": np.array("[1]")},
+        }[content]
         np.savez(path, **arrays)
     else:
         path.write_bytes({"empty": b"", "text": b"postures", "half": whole[: len(whole) // 2]}[content])

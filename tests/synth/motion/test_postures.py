@@ -109,7 +109,7 @@ def test_noise_and_mirror() -> None:
     np.testing.assert_allclose(mirrored[1:], mirror_posture(still)[1:])
 
 
-@pytest.mark.parametrize("content", ["empty", "text", "half", "array", "other archive"])
+@pytest.mark.parametrize("content", ["empty", "text", "half", "array", "other archive", "not finite", "negative"])
 def test_prior_file_errors(tmp_path: Path, content: str) -> None:
     path = tmp_path / "prior.npz"
     np.savez(path, weights=np.ones(2))
@@ -117,6 +117,12 @@ def test_prior_file_errors(tmp_path: Path, content: str) -> None:
     if content == "array":
         with path.open("wb") as handle:
             np.save(handle, np.ones(3))
+    elif content in ("not finite", "negative"):
+        value = np.nan if content == "not finite" else -1.0
+        np.savez(
+            path, weights=np.array([1, value]), simple_weights=np.ones(2), means=np.zeros((2, 60)),
+            factors=np.zeros((2, 60, 3)),
+        )  # fmt: skip
     elif content != "other archive":
         path.write_bytes({"empty": b"", "text": b"postures", "half": whole[: len(whole) // 2]}[content])
     with pytest.raises(InputError, match="is not a posture prior") as raised:

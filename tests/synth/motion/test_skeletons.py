@@ -197,7 +197,7 @@ def test_mapping_file(tmp_path: Path, default_body: Body) -> None:
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("{", "not a readable JSON"), ("[]", "must be an object"), ('{"tail": "x"}', "no posture bone 'tail'")],
+    [("{", "not valid JSON"), ("[]", "must be an object"), ('{"tail": "x"}', "no posture bone 'tail'")],
 )
 def test_bad_mapping_files(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "mapping.json"

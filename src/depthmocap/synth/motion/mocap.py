@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import io
 import re
 import zlib
 from collections.abc import Iterator, Sequence
@@ -16,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from depthmocap.body.posture import POSTURE_INDEX, heading, turn_posture
 from depthmocap.errors import InputError
+from depthmocap.reading.files import read_text
 from depthmocap.synth.motion.clips.amc import AMC_FPS, AsfSkeleton, read_amc_motion, read_asf
 from depthmocap.synth.motion.clips.bvh import read_bvh_motion
 from depthmocap.synth.motion.clips.motion import Motion
@@ -189,14 +191,16 @@ class ClipFolder:
         fps: dict[str, float] = {}
         manifest = directory / "manifest.csv"
         if manifest.exists():
-            with manifest.open(newline="", encoding="utf-8") as handle:
-                rows = csv.DictReader(handle)
+            rows = csv.DictReader(io.StringIO(read_text(manifest)))
+            try:
                 if not {"file", "description"} <= set(rows.fieldnames or ()):
                     raise InputError(f"{manifest} must have the columns file and description, has {rows.fieldnames}")
                 for row in rows:
                     descriptions[row["file"]] = row["description"] or ""
                     if row.get("fps"):
                         fps[row["file"]] = _rate(row["fps"], manifest)
+            except csv.Error as error:
+                raise InputError(f"{manifest} cannot be read as CSV: {error}") from None
         return cls(directory, files, descriptions, fps, reading or ClipReading())
 
     def __len__(self) -> int:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import zipfile
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -14,7 +13,8 @@ from numpy import ndarray
 
 from depthmocap.errors import InputError
 from depthmocap.output import replacing
-from depthmocap.synth.motion.clips.motion import reason
+from depthmocap.reading.arrays import ArrayType, read_npz, why
+from depthmocap.reading.json_text import parse_json
 from depthmocap.synth.motion.mocap import SPLITS
 
 #: How a posture came to be, in the order of :attr:`PosturePool.kinds`.
@@ -22,21 +22,14 @@ KINDS = ("recorded", "mirrored", "recombined", "perturbed")
 _FORMAT = "depthmocap posture pool 1"
 #: Rotation vectors are stored as 16-bit integers of this (radians): wrong by 0.005 degrees at most.
 _STEP_RAD = np.pi / 32767
-#: What reading a foreign or damaged file raises.
-NOT_NPZ = (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile)
-
-
-def read_npz(handle: IO[bytes]) -> dict[str, ndarray]:
-    """The arrays of an .npz file by name. Other files NumPy takes for pickles, and advises to trust them.
-
-    Raises:
-        ValueError: when it is another kind of file (or one of :data:`NOT_NPZ`).
-    """
-    if not zipfile.is_zipfile(handle):
-        raise ValueError("it is no .npz file, or cut off")
-    handle.seek(0)
-    with np.load(handle, allow_pickle=False) as data:
-        return dict(data)
+_TEXT = ArrayType("", "U")
+_ARRAYS = {
+    "postures": ArrayType("n 20 3", "i"), "clips": ArrayType("n", "iu"), "splits": ArrayType("n", "u"),
+    "simple": ArrayType("n", "b"), "kinds": ArrayType("n", "u"),
+}  # fmt: skip
+_NAMES = {"clip_names": ArrayType("m", "U"), "report": _TEXT}
+#: Bytes of a pool's arrays: about two million postures, which take twice as much in memory.
+_LARGEST = 1 << 28
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -93,27 +86,28 @@ class PosturePool:
             InputError: when the file is missing, damaged, or something else.
         """
         try:
-            with path.open("rb") as handle:
-                data = read_npz(handle)
-            if str(data["format"]) != _FORMAT:
-                raise ValueError(f"it is of another version ({data['format']})")
-            arrays = {name: data[name] for name in ("postures", "clips", "splits", "simple", "kinds")}
+            version = str(read_npz(path, {"format": _TEXT}, _LARGEST)["format"])
+            if version != _FORMAT:
+                raise InputError(f"it is of another version ({version})")
+            data = read_npz(path, _ARRAYS | _NAMES, _LARGEST)
             names = tuple(str(name) for name in data["clip_names"])
-            report = json.loads(str(data["report"]))
+            report = parse_json(str(data["report"]), "its report")
+            if not isinstance(report, dict):
+                raise InputError("its report is no object")
+            arrays = {name: data[name] for name in _ARRAYS}
             _check(arrays, len(names))
-        except NOT_NPZ as error:
+        except InputError as error:
             raise InputError(
-                f"{path} is not a readable posture pool: {reason(error)}; make one with: depthmocap postures build"
+                f"{path} is not a readable posture pool: {why(error, path)}; make one with: depthmocap postures build"
             ) from None
-        arrays["postures"] = arrays["postures"].astype(np.float32) * np.float32(_STEP_RAD)
+        arrays["postures"] = arrays["postures"].astype(np.float32)
+        arrays["postures"] *= np.float32(_STEP_RAD)
         return cls(**arrays, clip_names=names, report=report)
 
 
 def _check(arrays: dict[str, ndarray], clips: int) -> None:
-    """Raise ValueError unless arrays of a file fit together."""
+    """Raise InputError unless arrays of a file fit together."""
     n = len(arrays["postures"])
-    if any(array.shape != ((n, 20, 3) if name == "postures" else (n,)) for name, array in arrays.items()):
-        raise ValueError("its arrays do not fit together")
     most = {"clips": clips, "splits": len(SPLITS), "kinds": len(KINDS)}
     if n and any(arrays[name].min() < 0 or arrays[name].max() >= limit for name, limit in most.items()):
-        raise ValueError("a clip, split or kind in it does not exist")
+        raise InputError("a clip, split or kind in it does not exist")

@@ -25,11 +25,11 @@ from depthmocap.body.posture import (
     world_rotations,
 )
 from depthmocap.errors import InputError
+from depthmocap.reading.arrays import ArrayType, read_npz, why
 from depthmocap.synth.motion.beyond import Family, beyond_recorded
-from depthmocap.synth.motion.clips.motion import reason
 from depthmocap.synth.motion.limits import bone_axis
 from depthmocap.synth.motion.mocap import Clip, ClipFolder, SkippedClip, check_any_read, without_heading
-from depthmocap.synth.motion.pool import NOT_NPZ, PosturePool, read_npz
+from depthmocap.synth.motion.pool import PosturePool
 from depthmocap.synth.motion.seat import seated
 from depthmocap.synth.motion.touch import hands_on_body
 
@@ -207,6 +207,12 @@ def _vary(posture: Float[ndarray, "20 3"], variation: Variation, rng: np.random.
     return turn_posture(posture, rng.uniform(-np.pi, np.pi))
 
 
+_PRIOR = {
+    "weights": ArrayType("k", "f"), "simple_weights": ArrayType("k", "f"), "means": ArrayType("k 60", "f"),
+    "factors": ArrayType("k 60 r", "f"),
+}  # fmt: skip
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class PosturePrior:
     """A Gaussian mixture over local joint rotations, fitted on training clips, with a second set of weights for
@@ -226,13 +232,15 @@ class PosturePrior:
         Raises:
             InputError: when the file is missing or not a prior.
         """
-        source = path or importlib.resources.files("depthmocap.synth.motion") / "posture_prior.npz"
+        source = path or Path(str(importlib.resources.files("depthmocap.synth.motion") / "posture_prior.npz"))
         try:
-            with source.open("rb") as handle:
-                data = read_npz(handle)
-            arrays = {name: data[name].astype(np.float64) for name in ("weights", "simple_weights", "means", "factors")}
-        except NOT_NPZ as error:
-            raise InputError(f"{source} is not a posture prior: {reason(error)}") from None
+            arrays = {name: each.astype(np.float64) for name, each in read_npz(source, _PRIOR).items()}
+            if not all(np.isfinite(each).all() for each in arrays.values()):
+                raise InputError("a number in it is not finite")
+            if any((arrays[name] < 0).any() or arrays[name].sum() <= 0 for name in ("weights", "simple_weights")):
+                raise InputError("its weights must be at least 0, and one above")
+        except InputError as error:
+            raise InputError(f"{source} is not a posture prior: {why(error, source)}") from None
         return cls(**arrays, simple=simple, variation=variation.of(simple))
 
     def sample(self, rng: np.random.Generator) -> tuple[Float[ndarray, "20 3"], int]:

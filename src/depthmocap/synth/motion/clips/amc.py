@@ -15,6 +15,7 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from depthmocap.errors import InputError
+from depthmocap.reading.files import read_text
 from depthmocap.synth.motion.clips.motion import Motion, frame_step, reason
 
 _KNOWN_CHANNELS = {"L", *(f"{kind}{axis}" for kind in "TR" for axis in "XYZ")}
@@ -41,9 +42,10 @@ def read_asf(path: Path) -> AsfSkeleton:
     Raises:
         InputError: when it cannot be parsed.
     """
+    text = read_text(path)
     try:
-        return _parse_asf(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, KeyError, IndexError) as error:
+        return _parse_asf(text)
+    except (ValueError, KeyError, IndexError) as error:
         raise InputError(f"{path} is not a readable ASF file: {reason(error)}") from None
 
 
@@ -126,10 +128,11 @@ def read_amc_motion(path: Path, asf: AsfSkeleton, fps: float = AMC_FPS, every_fr
         InputError: a file that cannot be parsed or is cut off, whose bones are not the skeleton's, or with numbers that
             are not finite.
     """
+    text = read_text(path)
+    step = 1 if every_frame else frame_step(1 / fps)
     try:
-        step = 1 if every_frame else frame_step(1 / fps)
-        values, degrees = _parse_amc(path.read_text(encoding="utf-8"), asf, step)
-    except (OSError, ValueError) as error:
+        values, degrees = _parse_amc(text, asf, step)
+    except ValueError as error:
         raise InputError(f"{path} is not a readable AMC file: {reason(error)}") from None
     rotations = np.broadcast_to(np.eye(3), (len(values), len(asf.names), 3, 3)).copy()
     root_path = np.zeros((len(values), 3))

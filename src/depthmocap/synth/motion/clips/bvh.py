@@ -11,6 +11,7 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from depthmocap.errors import InputError, missing_extra
+from depthmocap.reading.files import read_text
 from depthmocap.synth.motion.clips.motion import Motion, frame_step, reason
 
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
@@ -26,8 +27,8 @@ def read_bvh_motion(path: Path, every_frame: bool = True) -> Motion:
         import bvhio
     except ImportError:
         raise missing_extra("bvhio", "train") from None
+    lines = [line for raw in read_text(path).splitlines() if (line := raw.strip())]
     try:
-        lines = [line for raw in path.read_text(encoding="utf-8").splitlines() if (line := raw.strip())]
         rows, frame_time_s = _motion_rows(lines)  # first: at the end of a cut file the parser would wait for ever
         root = bvhio.readAsBvh(str(path), loadKeyFrames=False).Root
         joints: list[tuple[Any, int]] = []

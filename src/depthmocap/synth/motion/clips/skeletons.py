@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import json
 import re
 from pathlib import Path
 
 from depthmocap.body.posture import POSTURE_BONES
 from depthmocap.errors import InputError
+from depthmocap.reading.json_text import read_json
 from depthmocap.synth.motion.clips.motion import Motion
 
 _LIMB_BONES = ("clavicle", "upper_arm", "forearm", "hand", "thigh", "shin", "foot")
@@ -93,10 +93,7 @@ def read_mapping(path: Path) -> Joints:
     Raises:
         InputError: when it is not one, or names bones that we do not have.
     """
-    try:
-        table = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path} is not a readable JSON file: {error}") from None
+    table = read_json(path)
     if not isinstance(table, dict) or not all(isinstance(joint, str) for joint in table.values()):
         raise InputError(f'{path} must be an object of posture bones and joint names, such as {{"pelvis": "Hips"}}')
     if unknown := sorted(set(table) - set(POSTURE_BONES)):
