@@ -9,6 +9,7 @@ from people_files import picked, scenes
 
 from depthmocap.cli import main
 from depthmocap.datasets.itop import JOINTS, OURS, Itop, camera
+from depthmocap.errors import InputError
 
 h5py = pytest.importorskip("h5py")
 TRAIN, TEST = 16, 6
@@ -137,3 +138,34 @@ def test_bad_files_are_one_clear_line(itop, people, joints, tmp_path, capsys):
     with h5py.File(other / "ITOP_side_test_labels.h5", "r+") as file:
         del file["segmentation"]
     assert "'segmentation' is missing" in error(other)
+
+
+@pytest.mark.parametrize(
+    ("file", "name", "value", "told"),
+    [
+        ("labels", "is_valid", None, "is no array"),
+        ("labels", "is_valid", np.array([b"x", b""]), "is of the type"),
+        ("labels", "segmentation", np.zeros((1, 240, 320), np.int8), "differ in length"),
+        ("labels", "real_world_coordinates", np.zeros((2, 15, 3), np.complex64), "is of the type complex64"),
+        ("depth_map", "data", np.zeros((1, 240, 320), np.float16), "differ in length"),
+        ("depth_map", "data", np.array(1.0), r"is \(\), expected \(n, 240, 320\)"),
+        ("depth_map", "id", np.arange(2), "is of the type int64"),
+    ],
+)
+def test_data_sets_of_another_kind_are_refused(tmp_path, file, name, value, told):
+    ids = np.array([b"00_00000", b"01_00001"])
+    with h5py.File(tmp_path / "ITOP_side_test_depth_map.h5", "w") as depth:
+        depth["id"], depth["data"] = ids, np.full((2, 240, 320), 2.5, np.float16)
+    with h5py.File(tmp_path / "ITOP_side_test_labels.h5", "w") as labels:
+        labels["id"], labels["is_valid"] = ids, np.ones(2, np.uint8)
+        labels["real_world_coordinates"] = np.full((2, 15, 3), 0.5, np.float32)
+        labels["segmentation"] = np.zeros((2, 240, 320), np.int8)
+    assert len(Itop(tmp_path)) == 2
+    with h5py.File(tmp_path / f"ITOP_side_test_{file}.h5", "r+") as spoilt:
+        del spoilt[name]
+        if value is None:
+            spoilt.create_group(name)
+        else:
+            spoilt[name] = value
+    with pytest.raises(InputError, match=told):
+        list(Itop(tmp_path))

@@ -108,11 +108,10 @@ def _results(folder: Path) -> None:
 
 
 def _compare(folder: Path) -> None:
-    from rich.console import Console
-
+    from depthmocap.console import Terminal
     from depthmocap.evaluate.compare import Comparison, compare
 
-    compare(Comparison(folder / "a.json", folder / "b.json"), Console(quiet=True))
+    compare(Comparison(folder / "a.json", folder / "b.json"), Terminal(quiet=True))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -286,13 +285,12 @@ def _read_mcap(folder: Path) -> None:
 
 
 def _recover(folder: Path) -> None:
-    from rich.console import Console
-
     from depthmocap.capture.convert import RecoverSettings, recover
+    from depthmocap.console import Terminal
 
     out = folder.parent / "recovered.mcap"
     out.unlink(missing_ok=True)
-    recover(RecoverSettings(folder / "rec.mcap", out), Console(quiet=True))
+    recover(RecoverSettings(folder / "rec.mcap", out), Terminal(quiet=True))
 
 
 def _mkv(folder: Path) -> None:

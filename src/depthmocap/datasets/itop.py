@@ -12,6 +12,7 @@ Its coordinates are x right, y up, z forward: ``x = (u - 160) z 0.0035``, ``y = 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -41,6 +42,8 @@ PARTS: dict[str, tuple[str, ...]] = {"upper body": JOINTS[:8], "lower body": JOI
 
 WIDTH, HEIGHT = 320, 240
 _FOCAL = 1 / 0.0035
+#: Rows of a file and bytes of its chunks, which are unpacked as a whole; and digits of a frame's number.
+_MOST_FRAMES, _LARGEST_CHUNK, _DIGITS = 1_000_000, 1 << 28, 16
 #: Frames a second of the videos that frames were taken from.
 FPS = 30.0
 #: From ITOP's axes to the camera's: y is down.
@@ -79,11 +82,13 @@ class Itop:
             base.with_name(f"{base.name}_{kind}.h5") for kind in ("depth_map", "labels")
         )
         self._depth_file, self._labels_file = _open(self._depth_path), _open(self._labels_path)
-        self._depth = _dataset(self._depth_file, self._depth_path, "data", (HEIGHT, WIDTH))
-        self._segmentation = _dataset(self._labels_file, self._labels_path, "segmentation", (HEIGHT, WIDTH))
-        joints = _dataset(self._labels_file, self._labels_path, "real_world_coordinates", (len(JOINTS), 3))
+        self._depth = _dataset(self._depth_file, self._depth_path, "data", (HEIGHT, WIDTH), "fiu")
+        self._segmentation = _dataset(self._labels_file, self._labels_path, "segmentation", (HEIGHT, WIDTH), "fiu")
+        joints = _dataset(self._labels_file, self._labels_path, "real_world_coordinates", (len(JOINTS), 3), "fiu")
         self._joints = _read(self._labels_path, joints, slice(None)).astype(np.float64)
-        valid = _read(self._labels_path, _dataset(self._labels_file, self._labels_path, "is_valid", ()), slice(None))
+        valid = _read(
+            self._labels_path, _dataset(self._labels_file, self._labels_path, "is_valid", (), "fiub"), slice(None)
+        )
         self._frames = self._match(np.asarray(valid) > 0)
         if not self._frames:
             raise InputError(
@@ -113,12 +118,13 @@ class Itop:
             yield AnnotatedFrame(views, joints, frame.person, "", frame.number)
 
     def _view(self, frame: _Frame, joints_world: Float[ndarray, "15 3"]) -> View:
-        depth_m = _read(self._depth_path, self._depth, frame.depth_row).astype(np.float32)
+        with np.errstate(over="ignore"):  # what is too far away for 32 bits is infinitely far
+            depth_m = _read(self._depth_path, self._depth, frame.depth_row).astype(np.float32)
         view = View(self._camera, np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.float32(0)))
         if self._mask == "box":
             mask = near_joints(view, joints_world)
         else:
-            mask = _read(self._labels_path, self._segmentation, frame.label_row).astype(np.int8) >= 0
+            mask = np.asarray(_read(self._labels_path, self._segmentation, frame.label_row) >= 0)
         if not (mask & (view.depth_m > 0)).any():
             self._empty[frame.id] = None
         return dataclasses.replace(view, mask=mask)
@@ -131,10 +137,14 @@ class Itop:
 
     def _match(self, valid: ndarray) -> list[_Frame]:
         """Valid frames whose depth map is there, by id."""
-        depth_rows = {name: row for row, name in enumerate(_ids(self._depth_file, self._depth_path))}
-        label_ids = _ids(self._labels_file, self._labels_path)
-        if not len(label_ids) == len(valid) == len(self._joints):
-            raise InputError(f"{self._labels_path}: id, is_valid and real_world_coordinates differ in length")
+        depth_ids, label_ids = _ids(self._depth_file, self._depth_path), _ids(self._labels_file, self._labels_path)
+        if len(depth_ids) != len(self._depth):
+            raise InputError(f"{self._depth_path}: id and data differ in length")
+        if not len(label_ids) == len(valid) == len(self._joints) == len(self._segmentation):
+            raise InputError(
+                f"{self._labels_path}: id, is_valid, real_world_coordinates and segmentation differ in length"
+            )
+        depth_rows = {name: row for row, name in enumerate(depth_ids)}
         wanted = [(row, name) for row, name in enumerate(label_ids) if valid[row]]
         absent = [name for _, name in wanted if name not in depth_rows]
         if absent:
@@ -145,7 +155,7 @@ class Itop:
         frames = []
         for row, name in wanted:
             person, _, number = name.partition("_")
-            if name in depth_rows and number.isdecimal():
+            if name in depth_rows and number.isdecimal() and len(number) < _DIGITS:
                 frames.append(_Frame(name, person, int(number), depth_rows[name], row))
         return frames
 
@@ -175,22 +185,39 @@ def _open(path: Path) -> Any:
         raise InputError(f"{path} is not a complete HDF5 file ({reason}): download and unpack it again") from None
 
 
-def _dataset(file: Any, path: Path, name: str, shape: tuple[int, ...]) -> Any:
-    data = file.get(name)
-    if data is None or data.ndim != 1 + len(shape) or data.shape[1:] != shape:
-        found = "is missing" if data is None else f"is {data.shape}"
-        wanted = ", ".join(map(str, ("n", *shape)))
-        raise InputError(f"{path}: the data set {name!r} {found}, expected ({wanted})")
-    return data
+def _dataset(file: Any, path: Path, name: str, shape: tuple[int, ...], kinds: str) -> Any:
+    """A data set of rows of a shape, of one of the kinds of numbers (NumPy's letters), of a size that can be read."""
+    import h5py
+
+    wanted = ", ".join(map(str, ("n", *shape)))
+    try:
+        data = file.get(name)
+        if not isinstance(data, h5py.Dataset) or data.shape is None:
+            found = "is missing" if data is None else "is no array"
+        elif data.ndim != 1 + len(shape) or data.shape[1:] != shape:
+            found = f"is {data.shape}"
+        elif data.dtype.kind not in kinds:
+            found = f"is of the type {data.dtype}"
+        elif len(data) > _MOST_FRAMES or math.prod(data.chunks or ()) * data.dtype.itemsize > _LARGEST_CHUNK:
+            found = f"is too large ({len(data):,} rows in chunks of {data.chunks})"
+        else:
+            return data
+    except Exception as error:  # h5py raises many types for damaged files
+        found = f"cannot be read ({_line(error)})"
+    raise InputError(f"{path}: the data set {name!r} {found}, expected ({wanted})")
 
 
 def _read(path: Path, data: Any, rows: int | slice) -> Any:
     try:
         return data[rows]
-    except OSError as error:
-        raise InputError(f"{path}: {data.name} cannot be read at {rows} ({error}): download it again") from None
+    except Exception as error:  # h5py raises many types for damaged files
+        raise InputError(f"{path}: {data.name} cannot be read at {rows} ({_line(error)}): download it again") from None
+
+
+def _line(error: Exception) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0]
 
 
 def _ids(file: Any, path: Path) -> list[str]:
-    ids: Mapping[int, Any] = _read(path, _dataset(file, path, "id", ()), slice(None))
+    ids: Mapping[int, Any] = _read(path, _dataset(file, path, "id", (), "SO"), slice(None))
     return [name.decode("ascii", "replace") if isinstance(name, bytes) else str(name) for name in ids]
