@@ -154,3 +154,25 @@ def test_joint_loss() -> None:
     assert found.grad[1, 5].tolist() == pytest.approx([0, -0.5, 0, 0.01 * 0.5 * (1 - 2)])
     assert not found.grad[0, 4].any()
     assert joint_loss(found, torch.full_like(places, torch.nan)).item() == 0
+
+
+def test_what_is_no_checkpoint_or_no_device_is_told(tmp_path: Path) -> None:
+    for device in ("nope", "meta", "cpu:x"):
+        with pytest.raises(InputError, match=f"--device {device}"):
+            train_classifier(ClassifierTraining(tmp_path / "run", device=device))
+    settings = ClassifierTraining(tmp_path / "run")
+    checkpoint = settings.out / "checkpoint.pt"
+    settings.out.mkdir(exist_ok=True)
+    torch.save({"history": "[]", "done": 16, "spent": 1.0}, checkpoint)
+    whole = checkpoint.read_bytes()
+    for content in (b"", b"PK\x03\x04", whole[: len(whole) // 2]):
+        checkpoint.write_bytes(content)
+        with pytest.raises(InputError, match="is damaged or no checkpoint"):
+            train_classifier(settings)
+    for state in ([1], {"history": 9999 * "[", "done": 0, "spent": 0.0}, {"history": "[]", "done": True, "spent": 0.0}):
+        torch.save(state, checkpoint)
+        with pytest.raises(InputError, match="is damaged or no checkpoint"):
+            train_classifier(settings)
+    checkpoint.write_bytes(whole)
+    with pytest.raises(InputError, match="is of another network or optimiser"):
+        train_classifier(settings)

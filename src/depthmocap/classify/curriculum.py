@@ -16,7 +16,14 @@ from rich.console import Console
 from rich.table import Table
 
 from depthmocap.classify.networks import NETWORKS
-from depthmocap.classify.train import ClassifierTraining, Optimiser, evaluate_windows, load_weights, train_classifier
+from depthmocap.classify.train import (
+    ClassifierTraining,
+    Optimiser,
+    check_device,
+    evaluate_windows,
+    load_weights,
+    train_classifier,
+)
 from depthmocap.classify.windows import WindowSource
 from depthmocap.console import Terminal
 from depthmocap.errors import InputError
@@ -170,6 +177,7 @@ def _measured(settings: CurriculumTraining, optimiser: Optimiser, stage: _Stage 
     network = NETWORKS["paper"]()
     if stage is not None:
         load_weights(network, settings.training(optimiser, stage).out / "classifier.safetensors")
+    check_device(settings.device)
     network.to(settings.device)
     found = {}
     for subset in _SUBSETS:

@@ -35,7 +35,8 @@ from depthmocap.errors import InputError
 from depthmocap.output import write_file
 from depthmocap.owning import owns
 from depthmocap.precision import in_bfloat16
-from depthmocap.reading.files import read_bytes
+from depthmocap.reading.files import check_file, read_bytes
+from depthmocap.reading.json_text import number, parse_json, whole_number
 from depthmocap.report.metrics import PixelAccuracy
 from depthmocap.settings import check_above_0, check_at_least, check_seed, claim_folder
 from depthmocap.synth.sample import Subset
@@ -210,6 +211,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
         InputError: data, postures or weights that cannot be read, a folder that holds another network's run, or a
             network of the paper's that shall lack something.
     """
+    check_device(settings.device)
     out = settings.out
     checkpoint = out / "checkpoint.pt"
     if settings.start is not None and settings.start.resolve() in [(out / name).resolve() for name in _WRITTEN]:
@@ -228,17 +230,17 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     peaks = [group["peak"] for group in optimiser.param_groups]
     done, spent, history = 0, 0.0, []
     if checkpoint.exists():
-        state = torch.load(checkpoint, map_location=settings.device, weights_only=True)
+        state = _read_checkpoint(checkpoint, settings.device)
         try:
             network.load_state_dict(state["network"])
             average.load_state_dict(state["average"])
             optimiser.load_state_dict(state["optimiser"])
-        except (RuntimeError, ValueError) as error:
+        except (RuntimeError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise InputError(
                 f"{checkpoint} is of another network or optimiser ({str(error).splitlines()[0]}): "
                 "use the same settings, or another --out"
             ) from None
-        done, spent, history = state["done"], state["spent"], json.loads(state["history"])
+        done, spent, history = state["done"], state["spent"], state["history"]
 
     data = settings.source.train(done)
     valid = settings.source.valid(settings.valid_images)
@@ -341,6 +343,45 @@ def _begin_worker(_: int) -> None:
     """SIGTERM is also how torch ends its processes; one that ends by itself is no failure to it."""
     leave_ending_to_parent()
     signal.signal(signal.SIGTERM, lambda *_: os._exit(0))
+
+
+def check_device(name: str) -> None:
+    """See that torch can work on a device, such as "cpu" or "cuda:0".
+
+    Raises:
+        InputError: when it has none of that name.
+    """
+    try:
+        found = torch.zeros(1, device=name).device
+    except (RuntimeError, AssertionError, NotImplementedError, ValueError, ModuleNotFoundError) as error:
+        told = str(error).splitlines()[0] if str(error) else "there is none"
+        raise InputError(f"--device {name} cannot be used ({told[:100]}): cpu always can") from None
+    if found.type == "meta":
+        raise InputError(f"--device {name} holds no numbers: cpu does")
+
+
+def _read_checkpoint(path: Path, device: str) -> dict[str, Any]:
+    """What a run saved: parts, progress and history.
+
+    Raises:
+        InputError: when it is damaged, or something else.
+    """
+    fault = f"{path} is damaged or no checkpoint of a run: remove it to begin anew, or use another --out"
+    check_file(path)
+    try:
+        state = torch.load(path, map_location=device, weights_only=True)
+    except Exception:  # torch and pickle raise many types for damaged files
+        raise InputError(fault) from None
+    if not isinstance(state, dict) or not isinstance(state.get("history"), str):
+        raise InputError(fault)
+    try:
+        done, spent = whole_number(state.get("done"), "done"), number(state.get("spent"), "spent")
+        history = parse_json(state["history"], "its history")
+    except InputError:
+        raise InputError(fault) from None
+    if not isinstance(history, list) or min(done, spent) < 0:
+        raise InputError(fault)
+    return {**state, "done": done, "spent": spent, "history": history}
 
 
 @contextlib.contextmanager
