@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from depthmocap.body.skeleton import BONES, JOINT_INDEX, JOINTS, PARENTS
+from depthmocap.datasets.bvh_joints import read_bvh_joints
 from depthmocap.errors import InputError
 from depthmocap.export import CsvWriter, read_bvh, read_csv, read_trc, write_bvh, write_csv, write_trc
 from depthmocap.export.bone_rotations import CHILDREN, REST, euler_zxy_deg
@@ -315,3 +317,17 @@ def test_euler_angles_at_gimbal_lock() -> None:
     rotations = Rotation.from_euler("ZXY", angles.reshape(-1, 3), degrees=True).as_matrix().reshape(3, 1, 3, 3)
     again = Rotation.from_euler("ZXY", euler_zxy_deg(rotations).reshape(-1, 3), degrees=True).as_matrix()
     np.testing.assert_allclose(again[:, None], rotations, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("name", "read"), [("pose.trc", read_trc), ("pose.bvh", read_bvh), ("pose.bvh", read_bvh_joints)]
+)
+def test_a_number_that_no_length_can_be_is_refused(tmp_path: Path, joints: np.ndarray, name: str, read: Any) -> None:
+    path = tmp_path / name
+    (write_trc if name == "pose.trc" else write_bvh)(path, as_poses(joints), "z")
+    lines = path.read_text().splitlines()
+    words = lines[-1].split("\t" if name == "pose.trc" else " ")
+    lines[-1] = lines[-1].replace(words[5], "1e300", 1)
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match="a number that no length"):
+        read(path)

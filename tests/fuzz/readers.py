@@ -193,7 +193,7 @@ def _pose_samples(folder: Path) -> None:
     arrays: dict[str, np.ndarray] = {"joints": np.zeros((4, 18, 3)), "groups": np.arange(4)}
     for labels in LABELS:
         arrays[f"parts {labels}"] = np.zeros((4, 2, 61, 16), np.float32)
-        for kind, shape in (("features", (4, 1032)), ("targets", (4, 54)), ("members", (4,))):
+        for kind, shape in (("features", (4, 1032)), ("targets", (4, 18, 3)), ("members", (4,))):
             arrays[f"{kind} {labels} 1"] = np.zeros(shape, np.float32 if kind != "members" else np.int64)
     for first in ("000000", "000100"):
         np.savez(folder / f"{first}.npz", **arrays)  # pyright: ignore[reportArgumentType]

@@ -18,6 +18,8 @@ from depthmocap.errors import InputError
 from depthmocap.reading.files import read_text
 
 _POSITIONS = ("Xposition", "Yposition", "Zposition")
+#: Numbers beyond this are none of a skeleton.
+_LARGEST = 1e12
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -86,6 +88,8 @@ def read_bvh_joints(path: Path) -> BvhJoints:
         needed = sum(map(len, skeleton.channels))
         if values.shape[1] != needed:
             raise ValueError(f"frames have {values.shape[1]} numbers, its joints {needed} channels")
+        if not max(np.abs(skeleton.offsets).max(initial=0), np.abs(values).max(initial=0)) < _LARGEST:
+            raise ValueError("it has a number that no length or angle can be")
     except FileNotFoundError:
         raise InputError(f"{path} not found") from None
     except OSError as error:

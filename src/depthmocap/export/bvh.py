@@ -30,6 +30,8 @@ _CM = 100.0
 _ROTATIONS = "Zrotation Xrotation Yrotation"
 _CHANNELS = f"CHANNELS 3 {_ROTATIONS}"
 _ROOT_CHANNELS = f"CHANNELS 6 Xposition Yposition Zposition {_ROTATIONS}"
+#: Numbers beyond this are none of a skeleton.
+_LARGEST = 1e12
 
 
 def _depth_first(joint: str) -> list[str]:
@@ -135,6 +137,8 @@ def read_bvh(path: Path) -> tuple[Float[ndarray, " t"], Float[ndarray, "t 18 3"]
         frame_s = float(lines[motion + 2].removeprefix("Frame Time:"))
         rows = np.array([line.split() for line in lines[motion + 3 :]], dtype=np.float64)
         rows = rows.reshape(count, 3 + 3 * len(JOINTS))
+        if not max(np.abs(rows).max(initial=0), np.abs(offsets).max(), abs(frame_s)) < _LARGEST:
+            raise ValueError("it has a number that no length, angle or time can be")
     except (ValueError, IndexError) as error:
         raise InputError(f"{path} is not a BVH file written by depthmocap: {error}") from None
     local = np.empty((count, len(JOINTS), 3, 3))

@@ -20,6 +20,8 @@ _KEYS = (
     "DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames",
 )  # fmt: skip
 _HEADER_LINES = 5
+#: Numbers beyond this are none of a skeleton.
+_LARGEST = 1e12
 
 
 def write_trc(
@@ -76,6 +78,8 @@ def read_trc(path: Path) -> tuple[Float[ndarray, " t"], Float[ndarray, "t 18 3"]
     try:
         rows = [line.rstrip("\r").split("\t")[:width] for line in lines[_HEADER_LINES:] if line.strip()]
         table = np.array([[float(cell or "nan") for cell in row] for row in rows]).reshape(-1, width)
+        if (np.abs(table) > _LARGEST).any():
+            raise ValueError("it has a number that no length or time can be")
     except ValueError as error:
         raise InputError(f"{path} has a row that cannot be read: {error}") from None
     return table[:, 1], table[:, 2:].reshape(-1, len(JOINTS), 3) / 1000 @ Y_UP_FROM_Z_UP
