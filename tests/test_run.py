@@ -85,7 +85,7 @@ def test_nobody_can_be_told_and_no_path_is_text(recording, tmp_path, monkeypatch
         assert main(["run", str(source), *options]) == 0
     assert {each.name for each in (odd / "out").iterdir()} >= set(RESULTS)
     summary = json.loads((odd / "out" / "summary.json").read_text(encoding="utf-8"))
-    assert summary["recording"] == str(source) and summary["frames"] == 6
+    assert summary["sources"][0] == str(source) and summary["frames"] == 6
 
 
 def test_files_agree_with_each_other(recording, tmp_path):
