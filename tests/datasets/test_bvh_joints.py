@@ -59,6 +59,7 @@ def test_places_are_the_offsets_turned_one_after_the_other(tmp_path):
         ("1 2 3 90", "1 2 nan 90", "not finite"),
         ("3 Zrotation Xrotation Yrotation\n    End", "3 Zrotation Xrotation Xposition\n    End", "'Xposition'"),
         ("3 Zrotation Xrotation Yrotation\n    End", "2 Zrotation Xrotation\n    End", "9 numbers, its joints 8"),
+        ("3 Zrotation Xrotation Yrotation\n    End", "3 Xrotation Xrotation Yrotation\n    End", "a channel twice"),
         ("    OFFSET 30 0 0\n", "", "OFFSET"),
         ("      OFFSET 20 0 0\n    }\n  }\n}\n", "", "tree"),
         ("Frames: 3", "Frames: three", "not a whole BVH file"),

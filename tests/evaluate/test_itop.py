@@ -86,11 +86,12 @@ def test_only_valid_frames_with_known_joints(people, joints, tmp_path):
     valid = np.array([1, 0, 1, 1, 1, 1], np.uint8)
     truth = joints[:6].copy()
     truth[2, 0] = 0  # not marked
+    truth[2, 1] = np.inf, 1e30, -1e30  # nowhere near
     write_itop(tmp_path, "test", people[:6], truth, valid)
     frames = list(Itop(tmp_path))
     assert [frame.frame for frame in frames] == [0, 2, 3, 4, 5]
     assert [frame.subject for frame in frames] == ["00", "00", "01", "00", "01"]
-    assert np.isnan(frames[1].joints_world[0]).all() and np.isfinite(frames[1].joints_world[1:]).all()
+    assert np.isnan(frames[1].joints_world[:2]).all() and np.isfinite(frames[1].joints_world[2:]).all()
     np.testing.assert_allclose(frames[0].joints_world, truth[0], atol=1e-6)
     # The joints lie where the depth is: each in front of or behind a pixel of the person, within a limb.
     view = frames[0].views[0]

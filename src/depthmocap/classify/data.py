@@ -25,15 +25,15 @@ from depthmocap.synth.sensing.sensors import random_model, random_preset
 
 #: Where cameras of training stand, and how often: about people, close to them, far off, under the ceiling.
 _PLACES: tuple[tuple[float, CameraRange], ...] = (
-    (0.62, CameraRange(distance_m=(1.2, 4.5), height_m=(0.0, 3.0))),
-    (0.14, CameraRange(distance_m=(0.5, 1.4), height_m=(0.3, 2.2))),
-    (0.14, CameraRange(distance_m=(4.0, 8.0), height_m=(0.0, 3.0))),
-    (0.1, CameraRange(distance_m=(0.5, 1.5), height_m=(2.2, 3.5), steepest_deg=90.0)),
+    (0.7, CameraRange(distance_m=(1.2, 4.5), height_m=(0.0, 3.0))),
+    (0.12, CameraRange(distance_m=(0.5, 1.4), height_m=(0.3, 2.2))),
+    (0.1, CameraRange(distance_m=(4.0, 8.0), height_m=(0.0, 3.0))),
+    (0.08, CameraRange(distance_m=(0.5, 1.5), height_m=(2.2, 3.5), steepest_deg=90.0)),
 )
 #: Those of validation.
 _VALID_PLACES = CameraRange(distance_m=(1.2, 4.5), height_m=(0.1, 3.0), roll_rad=0.06)
 #: Deviation of a camera's roll (radians), and of that of one which hangs askew; the share of the latter.
-_ROLL_RAD, _ASKEW_RAD, _ASKEW = 0.06, 0.4, 0.3
+_ROLL_RAD, _ASKEW_RAD, _ASKEW = 0.06, 0.4, 0.2
 _FEET = np.isin(np.arange(44), [REGION[f"{part} {side}"] for part in ("ankle", "forefoot") for side in "RL"])
 #: Fewest labelled pixels of a picture worth training on.
 _FEWEST = 300

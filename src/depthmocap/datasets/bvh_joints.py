@@ -133,6 +133,8 @@ def _hierarchy(words: list[str]) -> BvhSkeleton:
             allowed = {f"{axis}rotation" for axis in "XYZ"} | (set(_POSITIONS) if parents[-1] < 0 else set())
             if unknown := set(found) - allowed:
                 raise ValueError(f"channel {min(unknown)!r} of {names[-1]} is none that can be read")
+            if len(set(found)) < len(found):
+                raise ValueError(f"{names[-1]} has a channel twice")
             channels[-1] = found
             at += 2 + count
         else:
