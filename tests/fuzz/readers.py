@@ -506,6 +506,20 @@ def _read_weights(folder: Path) -> None:
     load_weights(torch.nn.Linear(3, 2), folder / "weights.safetensors")
 
 
+def _checkpoint(folder: Path) -> None:
+    import torch
+
+    layer = torch.nn.Linear(3, 2)
+    state = {"network": layer.state_dict(), "done": 16, "spent": 1.5, "history": json.dumps([{"step": 16}])}
+    torch.save(state, folder / "checkpoint.pt")
+
+
+def _read_run(folder: Path) -> None:
+    from depthmocap.classify.train import _read_checkpoint
+
+    _read_checkpoint(folder / "checkpoint.pt", "cpu")
+
+
 def _specs(folder: Path) -> None:
     lines = ("left=azure:000123?mode=nfov&fps=15", "realsense:923", "openni:a.oni?size=640x480", "rec#a")
     (folder / "cameras.spec").write_text("\n".join(lines))
@@ -570,5 +584,6 @@ READERS: dict[str, Reader] = {
     "classifier": Reader(_network("windows", _SQUARE, ("probabilities", "joints")), _read_classifier, needs=("onnx",)),
     "votes": Reader(_network("parts", _PARTS, ("joints", "sure")), _read_votes, needs=("onnx",)),
     "weights": Reader(_weights, _read_weights, needs=("torch", "safetensors")),
+    "checkpoint": Reader(_checkpoint, _read_run, needs=("torch",)),
     "camera specs": Reader(_specs, _read_specs),
 }

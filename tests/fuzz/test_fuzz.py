@@ -8,7 +8,7 @@ from readers import READERS
 from fuzz import Cases, kind_of
 
 #: Those whose pictures are of a size that their format sets take longer to read; torch takes long to import.
-SLOW, LEFT_OUT = ("ubc3v", "mhad", "panoptic", "eval", "ridge", "itop", "label", "recording"), ("weights",)
+SLOW, LEFT_OUT = ("ubc3v", "mhad", "panoptic", "eval", "ridge", "itop", "label", "recording"), ("weights", "checkpoint")
 
 
 @pytest.mark.parametrize("reader", [reader for reader in READERS if reader not in LEFT_OUT])
