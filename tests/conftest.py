@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+from collections.abc import Iterator
+
 import pytest
 
 from depthmocap.body.model import Body, BodyModel, Phenotype
@@ -12,6 +15,17 @@ def body_model() -> BodyModel:
     """The body model; tests that need it are skipped where anny is not installed."""
     pytest.importorskip("anny")
     return BodyModel.load()
+
+
+@pytest.fixture
+def usual_signals() -> Iterator[None]:
+    """Signals as a terminal's programs have them, however the tests were started: a background job ignores some."""
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    usual = {name: signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL for name in names}
+    before = {name: signal.signal(getattr(signal, name), usual[name]) for name in names}
+    yield
+    for name, handler in before.items():
+        signal.signal(getattr(signal, name), handler)
 
 
 @pytest.fixture(scope="session")

@@ -10,6 +10,7 @@ import pytest
 from depthmocap.ending import ended_by_signals, finishing, keeping_handlers
 from depthmocap.synth.output.workers import ordered
 
+pytestmark = pytest.mark.usefixtures("usual_signals")
 posix = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
 
 

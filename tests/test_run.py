@@ -166,6 +166,7 @@ def test_gaps_are_not_bridged_without_a_filter(recording):
         load_pipeline(recording, "none", "none", bridge_s=0.1)
 
 
+@pytest.mark.usefixtures("usual_signals")
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POSIX")
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
 def test_signals_end_a_run_with_everything_written(recording, tmp_path, monkeypatch, name):

@@ -163,7 +163,7 @@ def test_animation(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="positive"):
         animation(frames, 0, path)
     with pytest.raises(InputError, match="cannot write"):
-        animation(frames, 10, tmp_path / "no folder" / "walk.webp")
+        animation(frames, 10, path / "walk.webp")
 
 
 class _Balance(HTMLParser):
@@ -214,5 +214,6 @@ def test_report_errors(tmp_path: Path) -> None:
         write_report(path, "t", [ReportSection("s", tables=[ReportTable(["a", "b"], [[1]])])])
     with pytest.raises(InputError, match="PNG"):
         write_report(path, "t", [ReportSection("s", figures=[ReportFigure(b"BM")])])
+    (tmp_path / "no folder").touch()
     with pytest.raises(InputError, match="cannot write"):
         write_report(tmp_path / "no folder" / "report.html", "t", [])

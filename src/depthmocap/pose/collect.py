@@ -230,8 +230,9 @@ def _read(files: list[Path], settings: PoseSamples) -> Collected:
         try:
             chunks.append(read_npz(file, wanted))
         except InputError as error:
-            what = f"remove it, and it is made again, or give the --views that it has, not {settings.views}"
-            raise InputError(f"{file} cannot be read ({why(error, file)}): {what}") from None
+            what = "remove it, and it is made again, or give the --views that it has"
+            views = list(settings.views)
+            raise InputError(f"{file} cannot be read for {views} views ({why(error, file)}): {what}") from None
     if not chunks:
         raise InputError("no samples with joints: give a folder that train pose collected, or data that has joints")
     if len({chunk[f"parts {LABELS[0]}"].shape[1] for chunk in chunks}) > 1:

@@ -44,8 +44,8 @@ def test_bad_clips_are_skipped_and_counted(tmp_path: Path, default_body: Body) -
     assert clips[0].skeleton.startswith("mixamo: pelvis=mixamorig:Hips")
     reasons = {
         "nan.bvh": "not finite", "no_length.bvh": "has no length", "no_frames.bvh": "3 of its 30 frames",
-        "no_trunk.bvh": "numerics", "unknown.bvh": "--mapping", "bytes.bvh": "it is not text",
-        "no_offset.bvh": "skeleton has a number that is not finite", "folder.bvh": "BVH file: Is a directory",
+        "no_trunk.bvh": "numerics", "unknown.bvh": "--mapping", "bytes.bvh": "is not text",
+        "no_offset.bvh": "skeleton has a number that is not finite", "folder.bvh": "it is a folder, not a file",
         "08_01.amc": "08.asf is missing", "good.amc": "of this name",
     }  # fmt: skip
     assert set(skipped) == set(reasons)

@@ -97,7 +97,9 @@ def read_mapping(path: Path) -> Joints:
     if not isinstance(table, dict) or not all(isinstance(joint, str) for joint in table.values()):
         raise InputError(f'{path} must be an object of posture bones and joint names, such as {{"pelvis": "Hips"}}')
     if unknown := sorted(set(table) - set(POSTURE_BONES)):
-        raise InputError(f"{path}: no posture bone {unknown[0]!r}; they are {', '.join(POSTURE_BONES)}")
+        raise InputError(
+            f"{path}: no posture bone {unknown[0]!r}; they are {', '.join(POSTURE_BONES[:4])} … of body.posture"
+        )
     return table
 
 
