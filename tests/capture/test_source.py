@@ -289,6 +289,12 @@ def test_what_is_no_mode_is_told(asked: str) -> None:
         assert str(caught.value).startswith(f"{spec}: ")
 
 
+def test_a_zero_byte_is_in_no_spec() -> None:
+    for spec in ("openni:a\0.oni", "rec\0ording"):
+        with pytest.raises(InputError, match="has a zero byte in it"):
+            make_sources([spec])
+
+
 def test_the_usual_mode() -> None:
     sizes = ((1280, 720, 30), (640, 480, 15), (640, 480, 30), (640, 480, 90), (320, 240, 30))
     modes = [Mode(*each) for each in sizes]

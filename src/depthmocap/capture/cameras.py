@@ -84,6 +84,8 @@ def make_sources(
     sources: list[DepthSource] = []
     devices: dict[tuple[str, str], str] = {}
     for given in specs:
+        if "\0" in given:
+            raise InputError(f"{given} has a zero byte in it, which no path or address has")
         spec = _Spec.parse(given)
         if spec is None:
             sources += _recorded(given, pace)
