@@ -28,6 +28,8 @@ def test_rays_leave_the_space_at_its_far_side():
     assert abs(depth[47, 31] - 1.0 / (23.5 / 50)) < 1e-4  # the floor, 1 m below
     aside = Volume(np.array([10.0, -1.0, 0.0]), np.array([11.0, 1.0, 2.0]), "z").exit_depth_m(CAMERA)
     assert aside.max() < 0.01  # nothing of it is seen
+    nowhere = Volume(np.array([-1e308, -1.0, 0.0]), np.array([1e308, 1.0, 2.2]), "z").exit_depth_m(CAMERA)
+    assert np.isfinite(nowhere).all()
 
 
 def test_somebody_who_never_moves_is_not_scenery():

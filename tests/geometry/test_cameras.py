@@ -74,6 +74,15 @@ def test_upright(roll_deg: float, quarters: int) -> None:
     assert low[1] - high[1] > abs(low[0] - high[0]) * 0.99
 
 
+def test_nearest_pixels() -> None:
+    camera = make_camera(world_from_camera=np.eye(4))
+    depth = np.full((120, 160), 2.0, np.float32)
+    far = np.array([[1e300, 0.0, 1e-3], [0.0, 0.0, -1.0], [-50.0, 1e30, 1.0]])
+    row, column = camera.nearest_pixels(np.concatenate([camera.unproject(depth)[[0, 161]].astype(float), far]))
+    assert row[:2].tolist() == [0, 1] and column[:2].tolist() == [0, 1]
+    assert not ((row[2:] >= 0) & (row[2:] < 120) & (column[2:] >= 0) & (column[2:] < 160)).any()
+
+
 def test_no_upright_where_none_is_known() -> None:
     up = np.array([0.0, 0.0, 1.0])
     down = make_camera(world_from_camera=look_at(np.array([0.0, 0.0, 3.0]), np.array([0.1, 0.0, 0.0]), 2.0))

@@ -215,8 +215,7 @@ class MhadSet:
     ) -> None:
         on_person = []
         for view, joints in zip(views, truths, strict=True):
-            pixels = view.camera.project(joints[_TRUNK])
-            column, row = np.rint(np.nan_to_num(pixels[:, :2], nan=-1)).astype(int).T
+            row, column = view.camera.nearest_pixels(joints[_TRUNK])
             inside = (column >= 0) & (column < WIDTH) & (row >= 0) & (row < HEIGHT)
             mask = segmenter(view)
             on_person += [bool(here and mask[r, c]) for here, r, c in zip(inside, row, column, strict=True)]

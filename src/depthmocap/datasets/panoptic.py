@@ -251,7 +251,6 @@ class PanopticSequence:
 
 def _on_person(view: View, joints: Float[ndarray, "j 3"], segmenter: PersonSegmenter) -> float:
     """Share of the known joints whose pixel is on the person; 0 where none is in the picture."""
-    pixels = view.camera.project(joints[np.isfinite(joints).all(1)])[:, :2]
-    column, row = np.rint(np.nan_to_num(pixels, nan=-1)).astype(int).T
+    row, column = view.camera.nearest_pixels(joints[np.isfinite(joints).all(1)])
     inside = (column >= 0) & (column < WIDTH) & (row >= 0) & (row < HEIGHT)
     return float(segmenter(view)[row[inside], column[inside]].mean()) if inside.any() else 0.0

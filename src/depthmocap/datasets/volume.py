@@ -56,7 +56,7 @@ class Volume:
         rays = np.concatenate([camera.rays, np.ones_like(camera.rays[..., :1])], -1).astype(np.float64)
         rays = rays @ camera.world_from_camera[:3, :3].T  # world steps per metre of depth
         eye = camera.world_from_camera[:3, 3]
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             a, b = (self.low - eye) / rays, (self.high - eye) / rays
         enter, leave = np.minimum(a, b).max(-1), np.maximum(a, b).min(-1)
         crossed = (leave > np.maximum(enter, 0)) & np.isfinite(leave)

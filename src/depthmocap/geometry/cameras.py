@@ -11,7 +11,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt16
+from jaxtyping import Bool, Float, Int, UInt16
 from numpy import ndarray
 
 from depthmocap.errors import InputError
@@ -110,14 +110,22 @@ class DepthCamera:
         rays = points_camera[..., :2] / in_front[..., None]
         return np.concatenate([self._pixels_of(rays), z[..., None]], -1)
 
+    def nearest_pixels(self, points_world: Float[ndarray, "n 3"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+        """Row and column of the pixel that shows each point; -1 or just beyond the picture where none does."""
+        pixels = np.nan_to_num(self.project(points_world)[:, :2], nan=-1)
+        # What is far outside has no number of a pixel.
+        column, row = np.rint(np.clip(pixels, -1, [self.width, self.height])).astype(np.int64).T
+        return row, column
+
     def _pixels_of(self, rays: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
         """Pixels of rays (x/z, y/z), by OpenCV's lens model."""
         k1, k2, p1, p2, k3 = self.distortion
         x, y = rays[..., 0], rays[..., 1]
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        x_d = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-        y_d = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        with np.errstate(over="ignore", invalid="ignore"):  # beside any picture
+            r2 = x * x + y * y
+            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            x_d = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+            y_d = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
         return np.stack([x_d * self.fx + self.cx, y_d * self.fy + self.cy], -1)
 
     def turned(self, quarters: int) -> DepthCamera:
