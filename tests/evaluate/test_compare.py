@@ -108,6 +108,10 @@ def test_what_is_not_an_evaluation(tmp_path):
         b.write_text(text)
         with pytest.raises(InputError, match=message):
             compare(Comparison(a, b), QUIET)
+    for digest in ({}, [], 0, False):  # of the true joints, which is a text
+        write(b, {"seen": numbers(0.04, true_joints=digest)})
+        with pytest.raises(InputError, match="holds no numbers"):
+            compare(Comparison(a, b), QUIET)
 
 
 def test_files_of_an_evaluation(tmp_path):

@@ -78,7 +78,7 @@ def _is_result(numbers: Any) -> bool:
         and isinstance(numbers.get("per_joint_error_cm"), dict)
         and "frames" in numbers
         and all(isinstance(numbers.get(key) or {}, dict) for key in ("about", "recipe"))
-        and isinstance(numbers.get("true_joints") or "", str)
+        and isinstance(numbers.get("true_joints"), str | None)
     )
 
 
