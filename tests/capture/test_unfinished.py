@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import resource
 import signal
 import subprocess
 import sys
 import textwrap
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +22,7 @@ from depthmocap.cli import main
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
 from file_contents import tree
+from full_disk import files_of_at_most
 
 QUIET = Console(quiet=True)
 CAMERAS = tuple(DepthCamera(name, 24, 16, 20.0, 20.0, 12.0, 8.0) for name in "ab")
@@ -45,18 +43,6 @@ def folder(tmp_path: Path) -> Path:
     with RecordingWriter(tmp_path / "take", Rig(CAMERAS), {"a": frame(99)}) as writer:
         write_sets(writer)
     return tmp_path / "take"
-
-
-@contextlib.contextmanager
-def files_of_at_most(size: int) -> Iterator[None]:
-    """Stands for a full disk: the system writes what fits, then refuses."""
-    old, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size, old[1]))
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, old)
-        signal.signal(signal.SIGXFSZ, handler)
 
 
 KILLED = """

@@ -1,9 +1,6 @@
 """What is left of run and live when they are killed or the disk is full, and that memory does not grow with frames."""
 
-import contextlib
 import itertools
-import resource
-import signal
 import subprocess
 import sys
 import textwrap
@@ -20,6 +17,7 @@ from depthmocap.cli import main
 from depthmocap.export import read_csv, read_trc
 from depthmocap.export.files import RESULTS
 from depthmocap.online import command, live
+from full_disk import files_of_at_most
 
 SETS = 40
 
@@ -94,18 +92,6 @@ def test_after_a_kill_poses_are_there_and_the_next_run_is_right(recording, pipel
         assert main(words(name, recording, tmp_path / "new" / name)) == 0
         for each in ("pose.csv", "pose.trc", "pose.bvh"):
             assert (tmp_path / name / each).read_bytes() == (tmp_path / "new" / name / each).read_bytes()
-
-
-@contextlib.contextmanager
-def files_of_at_most(size):
-    """Stands for a full disk: the system writes what fits, then refuses."""
-    old, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (size, old[1]))
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, old)
-        signal.signal(signal.SIGXFSZ, handler)
 
 
 @pytest.mark.parametrize("name", ["run", "live"])
