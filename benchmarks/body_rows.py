@@ -9,10 +9,10 @@ import numpy as np
 from numpy import ndarray
 from timing import Bench, Reference
 
-from depthmocap.body.model import Body, BodyModel
-from depthmocap.body.posture import world_rotations
 from depthmocap.geometry import DepthCamera, look_at
 from depthmocap.geometry.transforms import transform_points
+from depthmocap.synth.body.bones import world_rotations
+from depthmocap.synth.body.mesh import Body, BodyModel
 from depthmocap.synth.motion.postures import PosturePrior
 from depthmocap.synth.people.bodies import ONE_CHARACTER
 from depthmocap.synth.render import render_body

@@ -12,19 +12,19 @@ import numpy as np
 from PIL import Image
 from timing import Bench, Reference, Row, Timing
 
-from depthmocap.body.model import BodyModel
 from depthmocap.body.regions import UNLABELLED
 from depthmocap.datasets.ubc3v import encode_depth, encode_labels, image_paths
 from depthmocap.datasets.ubc3v_write import write_images
 from depthmocap.errors import InputError
+from depthmocap.synth.body.mesh import BodyModel
 from depthmocap.synth.motion.postures import PosturePrior
-from depthmocap.synth.output.stream import draw
-from depthmocap.synth.output.units import Layout, Unit, make_unit, open_folder
-from depthmocap.synth.output.workers import ordered
 from depthmocap.synth.people.bodies import random_phenotype
 from depthmocap.synth.render import PosedPerson
 from depthmocap.synth.sample import CameraRange, Noise, Recipe, Sampler, random_camera, see
 from depthmocap.synth.sensing.sensors import SENSORS
+from depthmocap.synth.writing.stream import draw
+from depthmocap.synth.writing.units import Layout, Unit, make_unit, open_folder
+from depthmocap.synth.writing.workers import ordered
 
 _VIEWS = 3
 #: Samples a task, and tasks a timed run.

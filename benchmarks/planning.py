@@ -16,11 +16,11 @@ import engine_rows
 import tyro
 from engine_rows import Written
 
-from depthmocap.cores import usable_cores
+from depthmocap.core.cores import usable_cores
 from depthmocap.datasets.shards import SAMPLES_PER_SHARD
 from depthmocap.datasets.ubc3v import FRAMES_PER_SECTION
-from depthmocap.synth.output.units import Layout
 from depthmocap.synth.sample import Noise
+from depthmocap.synth.writing.units import Layout
 
 _MACHINES = (2, 16, 64)
 _CLUSTER = 8 * 16

@@ -14,18 +14,19 @@ from numpy import ndarray
 from timing import Bench, Reference, Row, Timing
 
 from depthmocap.body.regions import REGION_COUNT
-from depthmocap.capture.recording import Recording
 from depthmocap.evaluate.moving import moving_frames, prior_motions
 from depthmocap.frames import FrameSet, Pose, View
 from depthmocap.geometry.transforms import transform_points
-from depthmocap.people.segmenter import PeopleSegmenter, SeenPerson
-from depthmocap.pipeline import STAGES, Pipeline
-from depthmocap.pose.cloud import LabelledView, merge_views
-from depthmocap.pose.estimate import RidgeEstimator, load_estimator
+from depthmocap.offline.pipeline import STAGES, Pipeline
+from depthmocap.pose.cloud import merge_views
+from depthmocap.pose.estimators import RidgeEstimator, load_estimator
 from depthmocap.pose.features import FEATURES_PER_REGION, MIN_POINTS, cloud_features
+from depthmocap.pose.labelled_view import LabelledView
 from depthmocap.pose.parts import body_frame, part_statistics
 from depthmocap.pose.ridge import RidgePose
-from depthmocap.pose.track import AUTO, load_filter
+from depthmocap.recordings.folder import Recording
+from depthmocap.segment.people_segmenter import PeopleSegmenter, SeenPerson
+from depthmocap.smooth.filters import AUTO, load_filter
 from depthmocap.synth.motion.postures import PosturePrior
 from depthmocap.synth.people.bodies import random_dressed
 from depthmocap.synth.render import render_person

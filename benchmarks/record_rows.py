@@ -22,11 +22,11 @@ from rich.console import Console
 from rich.table import Table
 from timing import Bench, Reference
 
-from depthmocap.capture.depth_codec import decode_depth, encode_depth
-from depthmocap.capture.mcap_recording import McapRecording
-from depthmocap.capture.mcap_writer import McapWriter
 from depthmocap.errors import missing_extra
 from depthmocap.geometry import DepthCamera, Rig
+from depthmocap.recordings.depth_codec import decode_depth, encode_depth
+from depthmocap.recordings.mcap_recording import McapRecording
+from depthmocap.recordings.mcap_writer import McapWriter
 from depthmocap.synth.sample import Recipe, Sampler
 
 #: 200 frames a second.

@@ -22,7 +22,6 @@ from typing import Any
 
 import body_rows
 import engine_rows
-import gpu_rows
 import label_rows
 import pose_rows
 import record_rows
@@ -31,7 +30,7 @@ from rich.console import Console
 from rich.table import Table
 from timing import Bench, Row, Timing
 
-from depthmocap.cores import usable_cores
+from depthmocap.core.cores import usable_cores
 from depthmocap.errors import InputError
 
 #: Load per core at the start from which on numbers mean little.
@@ -98,7 +97,6 @@ def measure(settings: Settings, folder: Path, console: Console) -> Bench:
         "rendering": body_rows.rendering,
         "rendering beside Open3D": body_rows.rendering_open3d,
         "posing": body_rows.posing,
-        "rendering on a GPU": gpu_rows.rows,
         "making frames": engine_rows.frames,
         "writing frames": engine_rows.written,
         "storing frames": engine_rows.storing,

@@ -22,20 +22,20 @@ from typing import Any
 
 import numpy as np
 import tyro
+from camera_simulator import Faults, RecordedScene, SimulatedCamera, Simulation
 from rich.console import Console
 from rich.table import Table
 
-from depthmocap.capture.mcap_recording import McapRecording
-from depthmocap.capture.mcap_writer import McapWriter
-from depthmocap.capture.open import open_recording
-from depthmocap.capture.recorder import McapRecorder
-from depthmocap.capture.simulator import Faults, RecordedScene, SimulatedCamera, Simulation
-from depthmocap.capture.source import DepthFrame
-from depthmocap.capture.sync import SyncSettings
+from depthmocap.cameras.source import DepthFrame
 from depthmocap.geometry import DepthCamera, Rig
-from depthmocap.offline import load_pipeline
-from depthmocap.online.live import EmptyScenes, LiveCapture, warm
-from depthmocap.pipeline import Pipeline
+from depthmocap.offline.pipeline import Pipeline
+from depthmocap.offline.pipeline_settings import load_pipeline
+from depthmocap.realtime.live_capture import EmptyScenes, LiveCapture, warm
+from depthmocap.realtime.mcap_recorder import McapRecorder
+from depthmocap.realtime.sync import SyncSettings
+from depthmocap.recordings.mcap_recording import McapRecording
+from depthmocap.recordings.mcap_writer import McapWriter
+from depthmocap.recordings.open_recording import open_recording
 
 #: Memory counts from here on (or from half of a shorter run), and is looked at so often. For the first quarter of an
 #: hour every kind of fault that comes for the first time takes some buffers more.

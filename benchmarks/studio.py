@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import Rig, look_at
-from depthmocap.synth.demo import ROOM, demo_body
+from depthmocap.synth.demo_scene import ROOM, demo_body
 from depthmocap.synth.motion.perform import pose_sequence
 from depthmocap.synth.motion.sequence import demo_motion
 from depthmocap.synth.render import Material, render_person

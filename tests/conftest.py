@@ -6,8 +6,11 @@ import signal
 from collections.abc import Iterator
 
 import pytest
+from virtual_time import virtual
 
-from depthmocap.body.model import Body, BodyModel, Phenotype
+from depthmocap.synth.body.mesh import Body, BodyModel, Phenotype
+
+__all__ = ["virtual"]
 
 
 @pytest.fixture(scope="session")

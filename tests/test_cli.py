@@ -48,8 +48,8 @@ def test_running_needs_no_torch(tmp_path):
         "        if name.partition('.')[0] in ('torch', 'anny', 'bvhio', 'sklearn', 'onnx', 'safetensors'):\n"
         "            raise ModuleNotFoundError(f'no {name}', name=name)\n"
         "sys.meta_path.insert(0, Absent())\n"
-        "import depthmocap.offline, depthmocap.demo, depthmocap.label\n"
-        "import depthmocap.evaluate.ubc3v, depthmocap.pose.train\n"
+        "import depthmocap.offline.run, depthmocap.offline.demo, depthmocap.offline.label\n"
+        "import depthmocap.evaluate.ubc3v_protocol, depthmocap.train.train_pose\n"
         "from depthmocap.cli import main\n"
         f"assert main(['synth', '--out', {str(tmp_path)!r}, '--samples', '1']) == 2\n"
     )

@@ -7,26 +7,26 @@ import json
 import numpy as np
 import pytest
 import torch
+from quick_training import skip_export, skip_export_of_votes
 from rich.console import Console
 
 from depthmocap import InputError
 from depthmocap.body.skeleton import JOINTS
-from depthmocap.classify import train
-from depthmocap.classify.networks import FastNet
-from depthmocap.classify.runtime import Classifier
-from depthmocap.classify.train import ClassifierTraining, load_weights, train_classifier
+from depthmocap.classify.classifier import Classifier
 from depthmocap.cli import main
 from depthmocap.datasets.ubc3v import Section, sections
 from depthmocap.evaluate.synthetic import measure
-from depthmocap.evaluate.ubc3v import Ubc3vEvaluation, evaluate_ubc3v
-from depthmocap.pose import votes_train
-from depthmocap.pose.collect import PoseSamples, collect, read_samples, with_parts_of
-from depthmocap.pose.estimate import load_estimator
+from depthmocap.evaluate.ubc3v_protocol import Ubc3vEvaluation, evaluate_ubc3v
+from depthmocap.pose.estimators import load_estimator
 from depthmocap.pose.ridge import RidgeBank
-from depthmocap.pose.train import PoseTraining, train_pose
-from depthmocap.synth.output.generate import SynthSettings, generate
 from depthmocap.synth.sample import Recipe
-from quick_training import skip_export, skip_export_of_votes
+from depthmocap.synth.writing.generate import SynthSettings, generate
+from depthmocap.train import train_classifier as train
+from depthmocap.train import train_votes as votes_train
+from depthmocap.train.networks import FastNet
+from depthmocap.train.pose_samples import PoseSamples, collect, read_samples, with_parts_of
+from depthmocap.train.train_classifier import ClassifierTraining, load_weights, train_classifier
+from depthmocap.train.train_pose import PoseTraining, train_pose
 
 QUIET = Console(quiet=True)
 

@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from watched import contacts, strace, traced_contacts, watched_environment
 
 import depthmocap
-from watched import contacts, strace, traced_contacts, watched_environment
 
 #: What libraries keep for a user, in the home folder.
 _CACHES = {".cache/anny", ".cache/matplotlib", ".cache/numba", ".cache/fontconfig", ".config/matplotlib"}
@@ -25,7 +25,7 @@ assert main(["live", "short", "--out", "live"]) == 0
 assert main(["record", "short", "--out", "live.mcap"]) == 0
 assert main(["cameras"]) == 0
 if sys.argv[1:] == ["train"]:
-    from depthmocap.classify import train
+    from depthmocap.train import train_classifier as train
 
     train.export_onnx = lambda network, path, metadata: path  # which takes longer than all the rest
     train.quantise = lambda source, windows, target: None
@@ -83,7 +83,7 @@ def test_nothing_calls_home(short: Path, request: pytest.FixtureRequest, tmp_pat
 
 
 def test_telemetry_is_off_whatever_is_imported_first() -> None:
-    code = "import os, depthmocap.onnx_file, onnxruntime; assert os.environ['ORT_DISABLE_TELEMETRY'] == '1'"
+    code = "import os, depthmocap.core.onnx_session, onnxruntime; assert os.environ['ORT_DISABLE_TELEMETRY'] == '1'"
     environment = {name: value for name, value in os.environ.items() if name != "ORT_DISABLE_TELEMETRY"}
     subprocess.run([sys.executable, "-c", code], env=environment, check=True)
 

@@ -8,7 +8,7 @@ from rich.table import Table
 from rich.text import Text
 
 from depthmocap.cli import main
-from depthmocap.console import Terminal, description
+from depthmocap.core.console import Terminal, description
 from depthmocap.errors import LONGEST, InputError
 from depthmocap.text import cameras, harmless, joined, shortened
 

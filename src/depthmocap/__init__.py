@@ -2,9 +2,13 @@
 
     import depthmocap
 
-    pipeline = depthmocap.load_pipeline("recording")
-    for frames in depthmocap.open_source("recording"):
+    recording = depthmocap.open_source("recording")
+    pipeline = depthmocap.load_pipeline(recording)
+    for frames in recording:
         pose = pipeline(frames).pose
+
+What this module names is public: it keeps its meaning from one version to the next, and a change of it is told in the
+changelog. So are the commands, their options, and the files that they write. Everything else may move.
 
 Importing this loads neither torch nor a camera SDK; heavier parts are loaded on first use.
 """
@@ -19,57 +23,91 @@ from typing import TYPE_CHECKING, Any
 # database for it in the user's cache; nothing that is called later ends that. Worker processes inherit it.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
+from depthmocap.core.version import __version__
 from depthmocap.errors import InputError
-from depthmocap.frames import FrameSet, Pose, View
+from depthmocap.frames import FrameSet, FrameSource, Pose, View
 from depthmocap.geometry import DepthCamera, Rig, load_rig, save_rig
 
 if TYPE_CHECKING:
-    from depthmocap.body.skeleton import JOINTS as JOINTS
-    from depthmocap.capture.recording import Recording as Recording
-    from depthmocap.offline import RunSettings as RunSettings
-    from depthmocap.offline import load_pipeline as load_pipeline
-    from depthmocap.offline import open_source as open_source
-    from depthmocap.offline import run as run
-    from depthmocap.online.live import live as live
-    from depthmocap.online.live import live_people as live_people
-    from depthmocap.pipeline import Pipeline as Pipeline
+    from depthmocap.body.skeleton import JOINTS
+    from depthmocap.calibration.calibrate import CalibrateSettings, Calibration, calibrate
+    from depthmocap.cameras.registry import open_camera
+    from depthmocap.cameras.source import DepthFrame, DepthSource
+    from depthmocap.exporting import read_csv, write_bvh, write_csv, write_trc
+    from depthmocap.exporting.run_result import RunResult
+    from depthmocap.offline.pipeline import PersonResult, Pipeline, Result
+    from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline, open_source
+    from depthmocap.offline.run import RunSettings, run
+    from depthmocap.realtime.live_capture import LiveCapture, LivePose, live, live_people
+    from depthmocap.recordings.folder import Recording, RecordingWriter
+    from depthmocap.recordings.open_recording import open_recording
+    from depthmocap.smooth.pose_filter import PoseFilter
 
-__version__ = "0.1.0"
-
+#: What is loaded on first use, by module.
 _LAZY = {
-    "JOINTS": "depthmocap.body.skeleton",
-    "Pipeline": "depthmocap.pipeline",
-    "Recording": "depthmocap.capture.recording",
-    "live": "depthmocap.online.live",
-    "live_people": "depthmocap.online.live",
-    "RunSettings": "depthmocap.offline",
-    "load_pipeline": "depthmocap.offline",
-    "open_source": "depthmocap.offline",
-    "run": "depthmocap.offline",
+    "depthmocap.body.skeleton": ("JOINTS",),
+    "depthmocap.calibration.calibrate": ("CalibrateSettings", "Calibration", "calibrate"),
+    "depthmocap.cameras.registry": ("open_camera",),
+    "depthmocap.cameras.source": ("DepthFrame", "DepthSource"),
+    "depthmocap.exporting": ("read_csv", "write_bvh", "write_csv", "write_trc"),
+    "depthmocap.exporting.run_result": ("RunResult",),
+    "depthmocap.offline.pipeline": ("PersonResult", "Pipeline", "Result"),
+    "depthmocap.offline.pipeline_settings": ("PipelineSettings", "load_pipeline", "open_source"),
+    "depthmocap.offline.run": ("RunSettings", "run"),
+    "depthmocap.realtime.live_capture": ("LiveCapture", "LivePose", "live", "live_people"),
+    "depthmocap.recordings.folder": ("Recording", "RecordingWriter"),
+    "depthmocap.recordings.open_recording": ("open_recording",),
+    "depthmocap.smooth.pose_filter": ("PoseFilter",),
 }
+_MODULE = {name: module for module, names in _LAZY.items() for name in names}
 
 __all__ = [
     "JOINTS",
+    "CalibrateSettings",
+    "Calibration",
     "DepthCamera",
+    "DepthFrame",
+    "DepthSource",
     "FrameSet",
+    "FrameSource",
     "InputError",
+    "LiveCapture",
+    "LivePose",
+    "PersonResult",
     "Pipeline",
+    "PipelineSettings",
     "Pose",
+    "PoseFilter",
     "Recording",
+    "RecordingWriter",
+    "Result",
     "Rig",
+    "RunResult",
     "RunSettings",
     "View",
+    "__version__",
+    "calibrate",
     "live",
     "live_people",
     "load_pipeline",
     "load_rig",
+    "open_camera",
+    "open_recording",
     "open_source",
+    "read_csv",
     "run",
     "save_rig",
+    "write_bvh",
+    "write_csv",
+    "write_trc",
 ]
 
 
 def __getattr__(name: str) -> Any:
-    if name in _LAZY:
-        return getattr(importlib.import_module(_LAZY[name]), name)
+    if name in _MODULE:
+        return getattr(importlib.import_module(_MODULE[name]), name)
     raise AttributeError(f"module 'depthmocap' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -15,11 +15,11 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from depthmocap import __version__
-from depthmocap.console import OneLine, Terminal
-from depthmocap.ending import ended_by_signals
+from depthmocap.core.console import OneLine, Terminal
+from depthmocap.core.interrupts import ended_by_signals
+from depthmocap.core.standard_streams import lasting_streams
+from depthmocap.core.version import __version__
 from depthmocap.errors import InputError, missing_extra
-from depthmocap.streams import lasting_streams
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,22 +34,23 @@ class _Command:
 
 
 _COMMANDS = (
-    _Command("demo", "depthmocap.demo", "DemoSettings", "demo", "motion capture of the packaged recording"),
-    _Command("run", "depthmocap.offline", "RunSettings", "run", "motion capture of a recording or a UBC3V section"),
-    _Command("live", "depthmocap.online.command", "LiveSettings", "run_live", "motion capture of live cameras"),
-    _Command("record", "depthmocap.capture.record", "RecordSettings", "record", "record depth cameras to an MCAP file"),
-    _Command("replay", "depthmocap.capture.replay", "ReplaySettings", "replay", "play a recording for Foxglove"),
-    _Command("convert", "depthmocap.capture.convert", "ConvertSettings", "convert",
+    _Command("demo", "depthmocap.offline.demo", "DemoSettings", "demo", "motion capture of the packaged recording"),
+    _Command("run", "depthmocap.offline.run", "RunSettings", "run", "motion capture of a recording or a UBC3V section"),
+    _Command("live", "depthmocap.realtime.live_command", "LiveSettings", "run_live", "motion capture of live cameras"),
+    _Command("record", "depthmocap.realtime.record", "RecordSettings", "record",
+             "record depth cameras to an MCAP file"),
+    _Command("replay", "depthmocap.realtime.replay", "ReplaySettings", "replay", "play a recording for Foxglove"),
+    _Command("convert", "depthmocap.recordings.convert", "ConvertSettings", "convert",
              "a recording folder to MCAP and back, without loss"),
-    _Command("info", "depthmocap.capture.convert", "InfoSettings", "info", "what is in a recording"),
-    _Command("recover", "depthmocap.capture.convert", "RecoverSettings", "recover",
+    _Command("info", "depthmocap.recordings.convert", "InfoSettings", "info", "what is in a recording"),
+    _Command("recover", "depthmocap.recordings.convert", "RecoverSettings", "recover",
              "a whole MCAP file from one that was cut off"),
-    _Command("cameras", "depthmocap.capture.cameras", "CamerasSettings", "list_cameras",
+    _Command("cameras", "depthmocap.cameras.registry", "CamerasSettings", "list_cameras",
              "list the depth cameras that are connected"),
-    _Command("calibrate", "depthmocap.calibrate.command", "CalibrateSettings", "calibrate",
+    _Command("calibrate", "depthmocap.calibration.calibrate", "CalibrateSettings", "calibrate",
              "where cameras stand, from a person who walks about"),
-    _Command("label", "depthmocap.label", "LabelSettings", "label_image", "body parts of one depth image"),
-    _Command("synth", "depthmocap.synth.output.generate", "SynthSettings", "generate",
+    _Command("label", "depthmocap.offline.label", "LabelSettings", "label_image", "body parts of one depth image"),
+    _Command("synth", "depthmocap.synth.writing.generate", "SynthSettings", "generate",
              "make labelled depth data", "train"),
     _Command("sensors", "depthmocap.synth.sensing.sensor_sheet", "SensorSheetSettings", "write_sensor_sheet",
              "a picture of what each depth sensor makes of a scene", "train"),
@@ -57,38 +58,40 @@ _COMMANDS = (
              "the most dissimilar postures of motion capture clips", "train"),
     _Command("postures report", "depthmocap.synth.motion.prior_report", "PostureReport", "report_postures",
              "how close the posture prior comes to real postures", "train"),
-    _Command("train classifier", "depthmocap.classify.train", "ClassifierTraining", "train_classifier",
+    _Command("train classifier", "depthmocap.train.train_classifier", "ClassifierTraining", "train_classifier",
              "train a body-part classifier", "train"),
-    _Command("train curriculum", "depthmocap.classify.curriculum", "CurriculumTraining", "train_curriculum",
+    _Command("train curriculum", "depthmocap.train.curriculum", "CurriculumTraining", "train_curriculum",
              "the paper's network by its curriculum, and without", "train"),
-    _Command("train ablations", "depthmocap.classify.ablations", "AblationTraining", "train_ablations",
+    _Command("train ablations", "depthmocap.train.ablations", "AblationTraining", "train_ablations",
              "what each ingredient of our classifier's training is worth", "train"),
-    _Command("train pose", "depthmocap.pose.train", "PoseTraining", "train_pose", "fit the joint regressors"),
+    _Command("train pose", "depthmocap.train.train_pose", "PoseTraining", "train_pose", "fit the joint regressors"),
     _Command("train prior", "depthmocap.synth.motion.prior", "PriorTraining", "train_prior",
              "learn the posture prior from motion capture", "train"),
-    _Command("evaluate ubc3v", "depthmocap.evaluate.ubc3v", "Ubc3vEvaluation", "evaluate_ubc3v",
+    _Command("evaluate ubc3v", "depthmocap.evaluate.ubc3v_protocol", "Ubc3vEvaluation", "evaluate_ubc3v",
              "accuracy on UBC3V or a set of its layout"),
     _Command("evaluate bench", "depthmocap.evaluate.bench", "BenchEvaluation", "evaluate_bench",
              "accuracy on the project's own test sets, made anew", "train"),
-    _Command("evaluate recording", "depthmocap.evaluate.recording", "RecordingEvaluation", "evaluate_recording",
+    _Command("evaluate recording", "depthmocap.evaluate.recording_protocol", "RecordingEvaluation",
+             "evaluate_recording",
              "accuracy of run on a recording with true joints"),
-    _Command("evaluate itop", "depthmocap.evaluate.itop", "ItopEvaluation", "evaluate_itop",
+    _Command("evaluate itop", "depthmocap.evaluate.itop_protocol", "ItopEvaluation", "evaluate_itop",
              "accuracy on ITOP, after a refit to its joints"),
-    _Command("evaluate eval", "depthmocap.evaluate.eval3d", "EvalEvaluation", "evaluate_eval",
+    _Command("evaluate eval", "depthmocap.evaluate.eval3d_protocol", "EvalEvaluation", "evaluate_eval",
              "accuracy on EVAL, every person by a fit to the others"),
-    _Command("evaluate mhad", "depthmocap.evaluate.mhad", "MhadEvaluation", "evaluate_mhad",
+    _Command("evaluate mhad", "depthmocap.evaluate.mhad_protocol", "MhadEvaluation", "evaluate_mhad",
              "accuracy on Berkeley MHAD, every person by a fit to the others"),
     _Command("evaluate labels", "depthmocap.evaluate.labels", "LabelsEvaluation", "evaluate_labels",
              "confusion, swapped limbs and calibration of a classifier's labels"),
-    _Command("evaluate estimators", "depthmocap.evaluate.estimators", "EstimatorComparison", "compare_estimators",
+    _Command("evaluate estimators", "depthmocap.evaluate.estimator_comparison", "EstimatorComparison",
+             "compare_estimators",
              "ridge, LASSO, a small network and votes on the same samples", "train"),
-    _Command("evaluate panoptic", "depthmocap.evaluate.panoptic", "PanopticEvaluation", "evaluate_panoptic",
+    _Command("evaluate panoptic", "depthmocap.evaluate.panoptic_protocol", "PanopticEvaluation", "evaluate_panoptic",
              "accuracy on the Kinects of CMU Panoptic"),
     _Command("reproduce", "depthmocap.evaluate.reproduce", "Reproduction", "reproduce",
              "the paper's tables and figures from its data sets"),
-    _Command("evaluate motion", "depthmocap.evaluate.motion", "MotionEvaluation", "evaluate_motion",
+    _Command("evaluate motion", "depthmocap.evaluate.motion_protocol", "MotionEvaluation", "evaluate_motion",
              "joints over time: every filter on generated sequences", "train"),
-    _Command("evaluate people", "depthmocap.evaluate.people", "PeopleEvaluation", "evaluate_people",
+    _Command("evaluate people", "depthmocap.evaluate.people_scenes", "PeopleEvaluation", "evaluate_people",
              "several people in generated scenes: masks, numbers, and what they do to each other", "train"),
     _Command("evaluate labels2d", "depthmocap.evaluate.labels2d", "Labels2dEvaluation", "evaluate_labels2d",
              "labels of real depth against joints found in colour"),

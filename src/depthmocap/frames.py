@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 from collections.abc import Iterator
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
-from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.geometry.depth_camera import DepthCamera
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -47,12 +47,34 @@ class Pose:
     confidence: Float[ndarray, "18"]
 
 
-@runtime_checkable
-class FrameSource(Protocol):
-    """A recording or any other sequence of frame sets. ``up`` is the world's up axis: "z", "y" or "-y"."""
+class FrameSource(abc.ABC):
+    """A recording or any other sequence of frame sets.
 
-    up: str
+    Attributes:
+        up: the world's up axis: "z", "y" or "-y".
+        continuous: whether frame sets follow each other in time, so that poses may be smoothed.
+        camera_names: of the cameras that are known before a frame is read.
+    """
 
+    up: str = "z"
+    continuous: bool = True
+    camera_names: tuple[str, ...] = ()
+
+    @abc.abstractmethod
     def __len__(self) -> int: ...
 
-    def __iter__(self) -> Iterator[FrameSet]: ...
+    @abc.abstractmethod
+    def __getitem__(self, index: int) -> FrameSet: ...
+
+    def __iter__(self) -> Iterator[FrameSet]:
+        """All of them, in order."""
+        return (self[i] for i in range(len(self)))
+
+    @property
+    def problems(self) -> list[str]:
+        """What was wrong with what was read so far, one line each."""
+        return []
+
+    def background(self, name: str) -> Float[ndarray, "h w"] | None:
+        """Depth of a camera's empty scene in metres, 0 where invalid; None where the source does not know it."""
+        return None

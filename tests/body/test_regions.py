@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from depthmocap.body import skeleton
-from depthmocap.body.posture import POSTURE_BONES, POSTURE_INDEX, POSTURE_PARENTS
 from depthmocap.body.regions import DISPLAY_COLOURS, MIRROR, REGION, REGION_COUNT, REGION_NAMES, UBC3V_COLOURS
+from depthmocap.synth.body.bones import POSTURE_BONES, POSTURE_INDEX, POSTURE_PARENTS
 
 
 def test_there_are_43_regions_and_the_background() -> None:

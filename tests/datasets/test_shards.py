@@ -8,12 +8,12 @@ import tarfile
 
 import numpy as np
 import pytest
+from file_contents import contents
 from ubc3v_files import SHAPE, make_views
 
 from depthmocap.datasets.shards import ShardReader, ShardWriter, count_samples, shard_path, shards
 from depthmocap.errors import InputError
 from depthmocap.frames import View
-from file_contents import contents
 
 
 def samples(count=3, seed=0):

@@ -8,6 +8,7 @@ import struct
 
 import numpy as np
 import pytest
+from file_contents import tree
 from PIL import Image
 from scipy.io import loadmat, savemat
 from ubc3v_files import EYES, HALF_STEP_M, SHAPE, make_views, write_section
@@ -31,7 +32,6 @@ from depthmocap.datasets.ubc3v_write import SectionWriter, write_images
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.transforms import look_at, transform_points
-from file_contents import tree
 
 # Codecs
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from depthmocap.capture.segment import PersonSegmenter
 from depthmocap.datasets.volume import Volume, scene_background
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera, look_at
+from depthmocap.segment.static_scene import PersonSegmenter
 
 CAMERA = DepthCamera(
     "a", 64, 48, 50.0, 50.0, 31.5, 23.5, look_at(np.array([0.0, -3.0, 1.0]), np.array([0.0, 0.0, 1.0]))

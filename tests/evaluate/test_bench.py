@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from depthmocap.body.model import BodyModel
 from depthmocap.errors import InputError
 from depthmocap.evaluate.bench import BenchEvaluation, evaluate_bench
+from depthmocap.synth.body.mesh import BodyModel
 from depthmocap.synth.sample import BENCH
 
 QUIET = Console(quiet=True)

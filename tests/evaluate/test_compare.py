@@ -13,7 +13,7 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.cli import main
 from depthmocap.evaluate.compare import Comparison, compare
 from depthmocap.evaluate.evaluation_report import Outputs, write_outputs
-from depthmocap.export.summary import Take, make_summary, write_summary
+from depthmocap.exporting.summary import Take, make_summary, write_summary
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
 
 QUIET = Console(quiet=True)

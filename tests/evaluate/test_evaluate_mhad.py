@@ -9,7 +9,7 @@ from mhad_files import make_clips, true_joints, write_mhad
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.cli import main
 from depthmocap.datasets.mhad import MHAD_JOINTS, MHAD_OURS
-from depthmocap.evaluate import mhad
+from depthmocap.evaluate import mhad_protocol as mhad
 
 CLIPS = make_clips(frames=5, actions=(1, 2))
 OURS_IN_MHAD = [MHAD_JOINTS.index({ours: theirs for theirs, ours in MHAD_OURS.items()}[joint]) for joint in JOINTS]

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from depthmocap.body.model import REST_POSTURE
 from depthmocap.body.skeleton import JOINT_INDEX
-from depthmocap.capture.recording import Recording, RecordingWriter
 from depthmocap.cli import main
-from depthmocap.evaluate.recording import RecordingEvaluation, evaluate_recording
-from depthmocap.export.csv import write_csv
+from depthmocap.evaluate.recording_protocol import RecordingEvaluation, evaluate_recording
+from depthmocap.exporting.pose_csv import write_csv
 from depthmocap.frames import Pose
 from depthmocap.geometry import DepthCamera, Rig, look_at
-from depthmocap.offline import load_pipeline
+from depthmocap.offline.pipeline_settings import load_pipeline
+from depthmocap.recordings.folder import Recording, RecordingWriter
+from depthmocap.synth.body.mesh import REST_POSTURE
 from depthmocap.synth.render import render_body
 
 SETS = 5

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from depthmocap.body.model import REST_POSTURE, Body
 from depthmocap.body.skeleton import MIRROR
 from depthmocap.evaluate.facing import SECTORS, facing_numbers, heading_sectors, turned_round
+from depthmocap.synth.body.mesh import REST_POSTURE, Body
 
 
 @pytest.fixture(scope="module")

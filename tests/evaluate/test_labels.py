@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthmocap.body.model import BodyModel
 from depthmocap.body.regions import MIRROR, REGION, UNLABELLED
 from depthmocap.cli import main
 from depthmocap.errors import InputError
 from depthmocap.evaluate.label_charts import label_grid, region_bars, reliability_diagram
 from depthmocap.evaluate.label_measures import LEAST_PIXELS, PARTS, BorderAccuracy, Calibration, PartSwaps
+from depthmocap.synth.body.mesh import BodyModel
 from depthmocap.synth.sample import Recipe
 
 
@@ -166,7 +166,7 @@ def test_on_the_bench(body_model: BodyModel, tmp_path: Path, capsys: pytest.Capt
 
 def test_on_a_folder(body_model: BodyModel, tmp_path: Path) -> None:
     from depthmocap.evaluate.labels import LabelsEvaluation, evaluate_labels
-    from depthmocap.synth.output.generate import SynthSettings, generate
+    from depthmocap.synth.writing.generate import SynthSettings, generate
 
     generate(SynthSettings(tmp_path, Recipe("hard", "test"), samples=2, seed=3))
     numbers = evaluate_labels(LabelsEvaluation(tmp_path / "report", data=tmp_path))

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from depthmocap import InputError
-from depthmocap.body.model import REST_POSTURE
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.evaluate.labels2d import Labels2dEvaluation, evaluate_labels2d
 from depthmocap.geometry import DepthCamera, look_at
+from depthmocap.synth.body.mesh import REST_POSTURE
 from depthmocap.synth.render import render_body
 
 JOINTS = [f"{side}{kind}" for side in "RL" for kind in ("Shoulder", "Elbow", "Hand", "Hip", "Knee", "Foot")]

@@ -14,7 +14,7 @@ from depthmocap.datasets.annotated import AnnotatedSet
 from depthmocap.datasets.mhad import MHAD_JOINTS, MHAD_OURS
 from depthmocap.datasets.panoptic import PANOPTIC_JOINTS, PANOPTIC_OURS, PanopticSequence, PanopticSet
 from depthmocap.errors import InputError
-from depthmocap.evaluate import panoptic
+from depthmocap.evaluate import panoptic_protocol as panoptic
 from depthmocap.geometry.transforms import transform_points
 
 JOINTS = np.concatenate([true_joints(clip) for clip in make_clips((1,), (1, 2), frames=2)])

@@ -5,7 +5,7 @@ import pytest
 
 from depthmocap import InputError
 from depthmocap.body.skeleton import JOINT_INDEX
-from depthmocap.evaluate.observe import Observations
+from depthmocap.evaluate.labelled_frames import Observations
 from depthmocap.evaluate.protocol import comparable, leave_one_out, measure_estimates
 from depthmocap.evaluate.refit import fit_joints
 from depthmocap.pose.parts import BodyFrame, yaw_matrix

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mhad_files import make_clips, write_mhad
 
-from depthmocap.classify.runtime import packaged_weights
+from depthmocap.classify.classifier import packaged_weights
 from depthmocap.cli import main
 from depthmocap.datasets.mhad import MhadSet
 from depthmocap.datasets.ubc3v import kinect2_camera

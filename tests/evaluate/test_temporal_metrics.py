@@ -12,7 +12,7 @@ from depthmocap.evaluate.temporal_metrics import (
     steps_at_rest,
     temporal_metrics,
 )
-from depthmocap.pose.sides import limb_joints
+from depthmocap.smooth.swap_guard import limb_joints
 
 PERIOD = 1 / 30
 

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-_TESTS = Path(__file__).parents[1]
-for _folder in ("capture", "datasets", "evaluate", "synth/motion"):
-    if str(_TESTS / _folder) not in sys.path:
-        sys.path.append(str(_TESTS / _folder))
+_SUPPORT = str(Path(__file__).parents[1] / "support")
+if _SUPPORT not in sys.path:
+    sys.path.append(_SUPPORT)
 
 from depthmocap.body.skeleton import JOINTS  # noqa: E402
 from depthmocap.geometry import DepthCamera, Rig, look_at, save_rig  # noqa: E402
@@ -65,7 +64,7 @@ def _read_rig(folder: Path) -> None:
 
 
 def _poses(folder: Path) -> None:
-    from depthmocap.export import write_csv
+    from depthmocap.exporting import write_csv
     from depthmocap.frames import Pose
 
     rng = np.random.default_rng(0)
@@ -74,13 +73,13 @@ def _poses(folder: Path) -> None:
 
 
 def _read_poses(folder: Path) -> None:
-    from depthmocap.export import read_csv
+    from depthmocap.exporting import read_csv
 
     read_csv(folder / "pose.csv")
 
 
 def _animations(folder: Path) -> None:
-    from depthmocap.export import write_bvh, write_trc
+    from depthmocap.exporting import write_bvh, write_trc
     from depthmocap.frames import Pose
 
     rng = np.random.default_rng(0)
@@ -90,7 +89,7 @@ def _animations(folder: Path) -> None:
 
 
 def _read_animations(folder: Path) -> None:
-    from depthmocap.export import read_bvh, read_trc
+    from depthmocap.exporting import read_bvh, read_trc
 
     read_trc(folder / "pose.trc")
     read_bvh(folder / "pose.bvh")
@@ -108,7 +107,7 @@ def _results(folder: Path) -> None:
 
 
 def _compare(folder: Path) -> None:
-    from depthmocap.console import Terminal
+    from depthmocap.core.console import Terminal
     from depthmocap.evaluate.compare import Comparison, compare
 
     compare(Comparison(folder / "a.json", folder / "b.json"), Terminal(quiet=True))
@@ -123,7 +122,7 @@ class _Settings:
 
 
 def _settings(folder: Path) -> None:
-    from depthmocap.settings import claim_folder
+    from depthmocap.core.settings import claim_folder
 
     claim_folder(folder, _Settings(), "a run", ())
 
@@ -167,13 +166,13 @@ def _ridge(folder: Path) -> None:
 
 
 def _read_ridge(folder: Path) -> None:
-    from depthmocap.pose.estimate import load_estimator
+    from depthmocap.pose.estimators import load_estimator
 
     load_estimator(folder / "ridge.npz")
 
 
 def _tracks(folder: Path) -> None:
-    from depthmocap.evaluate.tracks import Track, TrackStore
+    from depthmocap.evaluate.sequences import Track, TrackStore
 
     stamps = START + PERIOD * np.arange(3)
     track = Track("a", stamps, np.zeros((3, 18, 3)), np.zeros((2, 3, 18, 3)), np.ones((2, 3, 18)))
@@ -181,14 +180,14 @@ def _tracks(folder: Path) -> None:
 
 
 def _read_tracks(folder: Path) -> None:
-    from depthmocap.evaluate.tracks import TrackStore
+    from depthmocap.evaluate.sequences import TrackStore
 
     track = TrackStore(folder, {"seed": 1}).load(0)
     assert track is None or len(track.poses(2)) == len(track.timestamps_ns)
 
 
 def _pose_samples(folder: Path) -> None:
-    from depthmocap.pose.collect import LABELS
+    from depthmocap.train.pose_samples import LABELS
 
     arrays: dict[str, np.ndarray] = {"joints": np.zeros((4, 18, 3)), "groups": np.arange(4)}
     for labels in LABELS:
@@ -200,7 +199,7 @@ def _pose_samples(folder: Path) -> None:
 
 
 def _read_pose_samples(folder: Path) -> None:
-    from depthmocap.pose.collect import PoseSamples, read_samples
+    from depthmocap.train.pose_samples import PoseSamples, read_samples
 
     read_samples(folder, PoseSamples(views=(1,)))
 
@@ -220,7 +219,7 @@ def _picture(folder: Path) -> None:
 
 def _label(folder: Path) -> None:
     """All of ``depthmocap label`` but the network."""
-    from depthmocap import label
+    from depthmocap.offline import label
 
     with unittest.mock.patch.object(label, "Classifier", lambda weights: _Everywhere()):
         for name, ubc3v in (("depth.png", False), ("depth.tif", False), ("rgba.png", True)):
@@ -237,7 +236,7 @@ class _Everywhere:
 
 
 def _recording(folder: Path) -> None:
-    from depthmocap.capture.recording import RecordingWriter
+    from depthmocap.recordings.folder import RecordingWriter
 
     rig = _rig()
     with RecordingWriter(folder / "rec", rig, {"left": _depth(rig["left"], 99)}) as writer:
@@ -248,8 +247,8 @@ def _recording(folder: Path) -> None:
 
 def _read_through(path: Path) -> None:
     """Everything that ``info``, ``run`` and ``convert`` ask of a recording."""
-    from depthmocap.capture.convert import recording_info
-    from depthmocap.capture.open import open_recording
+    from depthmocap.recordings.convert import recording_info
+    from depthmocap.recordings.open_recording import open_recording
 
     recording = open_recording(path)
     recording_info(recording)
@@ -267,7 +266,7 @@ def _mcap(coding: Any, compression: str) -> Callable[[Path], None]:
     def make(folder: Path) -> None:
         from mutations import repacked
 
-        from depthmocap.capture.mcap_writer import McapWriter
+        from depthmocap.recordings.mcap_writer import McapWriter
 
         rig, path = _rig(), folder / "rec.mcap"
         with McapWriter(path, rig, {"left": _depth(rig["left"], 99)}, coding, start_ns=START) as writer:
@@ -285,8 +284,8 @@ def _read_mcap(folder: Path) -> None:
 
 
 def _recover(folder: Path) -> None:
-    from depthmocap.capture.convert import RecoverSettings, recover
-    from depthmocap.console import Terminal
+    from depthmocap.core.console import Terminal
+    from depthmocap.recordings.convert import RecoverSettings, recover
 
     out = folder.parent / "recovered.mcap"
     out.unlink(missing_ok=True)
@@ -401,7 +400,7 @@ def _mhad(folder: Path) -> None:
 
 def _read_mhad(folder: Path) -> None:
     from depthmocap.datasets.mhad import MhadSet
-    from depthmocap.evaluate.mhad import read_joint_tables
+    from depthmocap.evaluate.mhad_protocol import read_joint_tables
 
     _either(lambda: read_joint_tables(folder / "tables.json"))
     _through(MhadSet(folder))
@@ -480,13 +479,13 @@ def _network(end: str, shape: tuple[int, ...], results: tuple[str, ...]) -> Call
 
 
 def _read_classifier(folder: Path) -> None:
-    from depthmocap.classify.runtime import Classifier
+    from depthmocap.classify.classifier import Classifier
 
     Classifier(folder / "network.onnx", threads=1)
 
 
 def _read_votes(folder: Path) -> None:
-    from depthmocap.pose.estimate import load_estimator
+    from depthmocap.pose.estimators import load_estimator
 
     load_estimator(folder / "network.onnx")
 
@@ -501,7 +500,7 @@ def _weights(folder: Path) -> None:
 def _read_weights(folder: Path) -> None:
     import torch
 
-    from depthmocap.classify.train import load_weights
+    from depthmocap.train.train_classifier import load_weights
 
     load_weights(torch.nn.Linear(3, 2), folder / "weights.safetensors")
 
@@ -515,7 +514,7 @@ def _checkpoint(folder: Path) -> None:
 
 
 def _read_run(folder: Path) -> None:
-    from depthmocap.classify.train import _read_checkpoint
+    from depthmocap.train.train_classifier import _read_checkpoint
 
     _read_checkpoint(folder / "checkpoint.pt", "cpu")
 
@@ -526,7 +525,7 @@ def _specs(folder: Path) -> None:
 
 
 def _read_specs(folder: Path) -> None:
-    from depthmocap.capture.cameras import make_sources
+    from depthmocap.cameras.registry import make_sources
 
     for line in (folder / "cameras.spec").read_text("utf-8", "surrogateescape").split("\n")[:8]:
         _either(lambda line=line: make_sources([line]))

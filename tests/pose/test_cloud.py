@@ -6,7 +6,8 @@ import pytest
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera, look_at, transform_points
-from depthmocap.pose.cloud import LabelledView, merge_views
+from depthmocap.pose.cloud import merge_views
+from depthmocap.pose.labelled_view import LabelledView
 
 SHAPE = (30, 40)
 

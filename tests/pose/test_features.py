@@ -6,14 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from depthmocap.body.model import REST_POSTURE, Phenotype
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera, look_at, z_up_from
 from depthmocap.kernels.stats import median
-from depthmocap.pose.cloud import LabelledCloud, LabelledView, merge_views
+from depthmocap.pose.cloud import LabelledCloud, merge_views
 from depthmocap.pose.features import FEATURES_PER_REGION, MIN_POINTS, cloud_features
+from depthmocap.pose.labelled_view import LabelledView
+from depthmocap.synth.body.mesh import REST_POSTURE, Phenotype
 from depthmocap.synth.render import render_body
 
 

@@ -8,7 +8,8 @@ from depthmocap.body.regions import REGION, UNLABELLED
 from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera
-from depthmocap.pose.cloud import LabelledView, merge_views
+from depthmocap.pose.cloud import merge_views
+from depthmocap.pose.labelled_view import LabelledView
 from depthmocap.pose.mirrored import undo_mirrored
 
 CAMERA = DepthCamera("camera", 8, 6, 10.0, 10.0, 4.0, 3.0)

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from depthmocap.body.model import BodyModel
 from depthmocap.body.regions import REGION
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera
 from depthmocap.geometry.transforms import look_at
-from depthmocap.pose.cloud import LabelledCloud, LabelledView, merge_views
+from depthmocap.pose.cloud import LabelledCloud, merge_views
+from depthmocap.pose.labelled_view import LabelledView
 from depthmocap.pose.parts import (
     AREA,
     CENTRE,
@@ -26,6 +26,7 @@ from depthmocap.pose.parts import (
     part_statistics,
     yaw_matrix,
 )
+from depthmocap.synth.body.mesh import BodyModel
 from depthmocap.synth.people.bodies import ONE_CHARACTER
 from depthmocap.synth.render import PosedPerson, render_person
 
@@ -58,7 +59,7 @@ def person_views(posed, azimuths):
 
 @pytest.fixture(scope="module")
 def posed(body_model):
-    from depthmocap.body.model import REST_POSTURE
+    from depthmocap.synth.body.mesh import REST_POSTURE
 
     return PosedPerson(BodyModel.load().shape(ONE_CHARACTER).pose(REST_POSTURE))
 

@@ -8,16 +8,17 @@ from onnx import TensorProto, helper
 
 from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.errors import InputError
-from depthmocap.pose.cloud import LabelledCloud, LabelledView, merge_views
-from depthmocap.pose.estimate import load_estimator
+from depthmocap.pose.cloud import LabelledCloud, merge_views
+from depthmocap.pose.estimators import load_estimator
+from depthmocap.pose.labelled_view import LabelledView
 from depthmocap.pose.parts import ARMS, LEGS, MIRRORED, body_frame, network_inputs, part_statistics
 from depthmocap.pose.votes import VotesEstimator
 from depthmocap.synth.sample import Recipe, Sampler
 
 torch = pytest.importorskip("torch")
 
-from depthmocap.pose.votes_network import VotesNet  # noqa: E402
-from depthmocap.pose.votes_train import augment, export_votes, tilted  # noqa: E402
+from depthmocap.train.train_votes import augment, export_votes, tilted  # noqa: E402
+from depthmocap.train.votes_network import VotesNet  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +171,7 @@ def test_files_that_are_no_voting_network(tmp_path):
     path.write_bytes(b"nothing")
     with pytest.raises(InputError, match="not a readable"):
         VotesEstimator(path)
-    from depthmocap.classify.runtime import Classifier
+    from depthmocap.classify.classifier import Classifier
 
     with pytest.raises(InputError, match="not a voting network"):
         VotesEstimator(Classifier().path)

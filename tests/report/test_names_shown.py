@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from depthmocap.calibrate.page import draw_clouds
+from depthmocap.calibration.calibration_page import draw_clouds
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera
 from depthmocap.report.charts import as_png, label_of, name_axes, new_figure
+from depthmocap.report.drawing import labelled_depth_strip
 from depthmocap.report.page import ReportFigure, ReportSection, ReportTable, write_report
-from depthmocap.report.pictures import labelled_depth_strip
 
 HOSTILE = "<b>$\\frac{$</b>\x1b[2J\0\udcff"
 

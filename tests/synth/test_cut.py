@@ -8,9 +8,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from depthmocap.body.model import REST_POSTURE, Body
 from depthmocap.body.regions import REGION
 from depthmocap.geometry import DepthCamera, look_at
+from depthmocap.synth.body.mesh import REST_POSTURE, Body
 from depthmocap.synth.cut import CUTS, Cut, cut_plane, random_cut
 from depthmocap.synth.render import PosedPerson, render_person
 from depthmocap.synth.sample import BENCH, Sampler

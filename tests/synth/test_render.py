@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from depthmocap.body.model import REST_POSTURE, Body, PosedBody
 from depthmocap.geometry import DepthCamera, look_at, transform_points
 from depthmocap.kernels.raster import rasterise
+from depthmocap.synth.body.mesh import REST_POSTURE, Body, PosedBody
 from depthmocap.synth.motion.postures import PosturePrior
 from depthmocap.synth.render import NEAR_M, render_body
 

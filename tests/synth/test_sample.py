@@ -7,10 +7,10 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from depthmocap.body.model import BodyModel
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
 from depthmocap.geometry import is_rigid, transform_points
+from depthmocap.synth.body.mesh import BodyModel
 from depthmocap.synth.motion.postures import PosturePrior
 from depthmocap.synth.people.bodies import random_dressed
 from depthmocap.synth.people.wardrobe import HELD_OUT_FAMILY

@@ -14,8 +14,8 @@ from jaxtyping import Float, Integer
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
+from depthmocap.core.reading.input_files import read_text
 from depthmocap.errors import InputError
-from depthmocap.reading.files import read_text
 
 _POSITIONS = ("Xposition", "Yposition", "Zposition")
 #: Numbers beyond this are none of a skeleton.

@@ -20,13 +20,13 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINT_INDEX
-from depthmocap.capture.segment import PersonSegmenter
+from depthmocap.core.reading.input_files import check_file, open_file
+from depthmocap.core.reading.json_text import read_json
 from depthmocap.datasets.annotated import AnnotatedFrame, near_joints
 from depthmocap.errors import InputError
-from depthmocap.frames import FrameSet, View
+from depthmocap.frames import FrameSet, FrameSource, View
 from depthmocap.geometry import DepthCamera
-from depthmocap.reading.files import check_file, open_file
-from depthmocap.reading.json_text import read_json
+from depthmocap.segment.static_scene import PersonSegmenter
 from depthmocap.text import joined
 
 #: How the person is told from the room: by what stands still in the sequence, by a box around the true joints, or not.
@@ -147,7 +147,7 @@ class Eval:
             return None
 
 
-class _Sequence:
+class _Sequence(FrameSource):
     """One file: a source of frames (see ``FrameSource``) for learning the background, and the joints."""
 
     up = "-y"
@@ -165,9 +165,6 @@ class _Sequence:
 
     def __len__(self) -> int:
         return len(self._records)
-
-    def __iter__(self) -> Iterator[FrameSet]:
-        return (self[row] for row in range(len(self)))
 
     def __getitem__(self, row: int) -> FrameSet:
         return FrameSet(row, (self.view(row),) if self.whole(row) else ())

@@ -25,7 +25,7 @@ from depthmocap.datasets.annotated import AnnotatedFrame, near_joints
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera, transform_points
-from depthmocap.geometry.cameras import FURTHEST_M
+from depthmocap.geometry.depth_camera import FURTHEST_M
 
 Side = Literal["side", "top"]
 Split = Literal["train", "test"]

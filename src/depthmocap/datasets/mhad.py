@@ -23,15 +23,15 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from depthmocap.capture.segment import PersonSegmenter
+from depthmocap.core.reading.input_files import read_bytes, read_text
 from depthmocap.datasets.annotated import AnnotatedFrame
 from depthmocap.datasets.bvh_joints import BvhJoints, read_bvh_joints
 from depthmocap.datasets.volume import Volume, scene_background
 from depthmocap.errors import InputError
 from depthmocap.frames import View
-from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.geometry.transforms import is_rigid, rigid_inverse
-from depthmocap.reading.files import read_bytes, read_text
+from depthmocap.segment.static_scene import PersonSegmenter
 
 WIDTH, HEIGHT = 640, 480
 KINECTS = (1, 2)

@@ -22,14 +22,14 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from depthmocap.capture.segment import PersonSegmenter
+from depthmocap.core.reading.json_text import array, read_json
 from depthmocap.datasets.annotated import AnnotatedFrame
 from depthmocap.datasets.panoptic_files import HEIGHT, WIDTH, MColor, at, kinect_camera, read_depth, sensors_of
 from depthmocap.datasets.volume import Volume, scene_background
 from depthmocap.errors import InputError
 from depthmocap.frames import View
-from depthmocap.geometry.cameras import DepthCamera
-from depthmocap.reading.json_text import array, read_json
+from depthmocap.geometry.depth_camera import DepthCamera
+from depthmocap.segment.static_scene import PersonSegmenter
 
 PANOPTIC_JOINTS = (
     "Neck", "Nose", "BodyCenter", "LShoulder", "LElbow", "LWrist", "LHip", "LKnee", "LAnkle",

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float, UInt16
 from numpy import ndarray
 
+from depthmocap.core.reading.input_files import open_file
 from depthmocap.errors import InputError
-from depthmocap.geometry.cameras import DepthCamera, check_camera
+from depthmocap.geometry.depth_camera import DepthCamera, check_camera
 from depthmocap.geometry.transforms import is_rigid, rigid_inverse
-from depthmocap.reading.files import open_file
 
 WIDTH, HEIGHT = 512, 424
 #: Whether M_color leads from a Kinect's frame to its colour camera, or back.

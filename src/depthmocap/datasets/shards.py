@@ -28,14 +28,14 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINTS
+from depthmocap.core.output import open_new
+from depthmocap.core.reading.image_files import LARGEST_PICTURE, decode_png
+from depthmocap.core.reading.input_files import open_file
+from depthmocap.core.reading.json_text import array, number, parse_json, whole_number
 from depthmocap.datasets.png import grey_png
 from depthmocap.errors import InputError
 from depthmocap.frames import View
-from depthmocap.geometry.cameras import DepthCamera, check_camera
-from depthmocap.output import open_new
-from depthmocap.reading.files import open_file
-from depthmocap.reading.json_text import array, number, parse_json, whole_number
-from depthmocap.reading.pictures import LARGEST_PICTURE, decode_png
+from depthmocap.geometry.depth_camera import DepthCamera, check_camera
 
 SAMPLES_PER_SHARD = 250
 _CAMERA_NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")

@@ -24,12 +24,12 @@ from numpy import ndarray
 
 from depthmocap.body.regions import REGION_COUNT, UBC3V_COLOURS, UNLABELLED
 from depthmocap.body.skeleton import JOINTS
+from depthmocap.core.reading.image_files import read_picture
+from depthmocap.core.reading.matlab_files import read_mat
 from depthmocap.datasets.ubc3v_camera import KINECT2, camera_pose, kinect2_camera, load_ray_table, maya_angles
 from depthmocap.errors import InputError
-from depthmocap.frames import FrameSet, View
+from depthmocap.frames import FrameSet, FrameSource, View
 from depthmocap.geometry.transforms import z_up_from
-from depthmocap.reading.matlab import read_mat
-from depthmocap.reading.pictures import read_picture
 
 _LOG = logging.getLogger(__name__)
 
@@ -222,8 +222,8 @@ def _read_png(path: Path) -> UInt8[ndarray, "h w 4"]:
     return read_picture(path, "RGBA", (KINECT2.width, KINECT2.height))
 
 
-class Section:
-    """One section as a :class:`~depthmocap.frames.FrameSource`; images are read when a frame is asked for.
+class Section(FrameSource):
+    """One section; images are read when a frame is asked for.
 
     A view is absent where its depth image is missing, one of its images is damaged (a line in ``problems``), or the
     file gives it no (finite) pose. Its mask is the alpha
@@ -239,6 +239,7 @@ class Section:
     """
 
     up: str = "z"
+    continuous = False
 
     def __init__(self, path: Path, cameras: Sequence[str] = CAMERAS, ray_table: Path | None = None) -> None:
         self.path = Path(path)
@@ -262,9 +263,6 @@ class Section:
 
     def __len__(self) -> int:
         return len(self._truth.joints_cm)
-
-    def __iter__(self) -> Iterator[FrameSet]:
-        return (self[i] for i in range(len(self)))
 
     def __getitem__(self, index: int) -> FrameSet:
         """Frame ``index``, from 0; its joints and poses are in metres, Z up.

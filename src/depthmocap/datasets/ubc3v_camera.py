@@ -11,10 +11,10 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
+from depthmocap.core.reading.matlab_files import read_mat
 from depthmocap.errors import InputError
-from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.geometry.transforms import is_rigid, z_up_from
-from depthmocap.reading.matlab import read_mat
 
 #: Pinhole fit to the ray table of the authors' toolkit, in pixels of the stored images: within a pixel on average up
 #: to 250 px from the centre, and up to 33 px off in the corners.

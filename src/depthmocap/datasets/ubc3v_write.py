@@ -19,6 +19,7 @@ from scipy.io import savemat
 
 from depthmocap.body.regions import REGION_COUNT
 from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
+from depthmocap.core.output import open_new
 from depthmocap.datasets.png import colour_png
 from depthmocap.datasets.ubc3v import (
     DEPTH_SCALE,
@@ -36,7 +37,6 @@ from depthmocap.datasets.ubc3v import (
 from depthmocap.frames import View
 from depthmocap.geometry.transforms import z_up_from
 from depthmocap.kernels.levels import depth_levels
-from depthmocap.output import open_new
 
 #: Maya joints that hold no target joint, and the joint they get: the nearest to where their parent's frame sits.
 _FILLED = {

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from depthmocap.geometry.cameras import DepthCamera
-from depthmocap.people.background import estimate_background
+from depthmocap.geometry.depth_camera import DepthCamera
+from depthmocap.segment.background import estimate_background
 
 #: What the floor's depth may be off by, so that it is not taken for something that stands on it.
 FLOOR_M = 0.1

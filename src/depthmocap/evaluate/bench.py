@@ -13,20 +13,20 @@ from rich.console import Console
 from rich.progress import Progress
 from scipy.spatial.transform import Rotation
 
-from depthmocap.classify.runtime import Classifier
-from depthmocap.console import Terminal
-from depthmocap.cores import usable_cores
+from depthmocap.classify.classifier import Classifier
+from depthmocap.core.console import Terminal
+from depthmocap.core.cores import usable_cores
+from depthmocap.core.locks import owns
+from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, write_outputs
 from depthmocap.evaluate.synthetic import Labels, check_views, measure, print_numbers
 from depthmocap.frames import FrameSet
 from depthmocap.geometry import DepthCamera
-from depthmocap.owning import owns
-from depthmocap.pose.estimate import load_estimator
-from depthmocap.settings import check_seed, plain_settings
+from depthmocap.pose.estimators import load_estimator
 from depthmocap.synth.motion.postures import ClipPostures, posture_source
-from depthmocap.synth.output.stream import stream
 from depthmocap.synth.sample import BENCH, Recipe
+from depthmocap.synth.writing.stream import stream
 
 
 @dataclasses.dataclass(frozen=True)

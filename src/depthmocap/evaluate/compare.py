@@ -12,11 +12,11 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from depthmocap.console import Terminal
+from depthmocap.core.console import Terminal
+from depthmocap.core.reading.json_text import array, read_json
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import MEASURE_KEYS, Numbers, measures
-from depthmocap.export.summary import Summary, check_summary
-from depthmocap.reading.json_text import array, read_json
+from depthmocap.exporting.summary import Summary, check_summary
 
 #: What tells a set: two results may be compared only where these agree.
 _OF_THE_SET = ("subset", "split", "frames", "joints", "seed", "clips")

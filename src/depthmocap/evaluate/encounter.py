@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINT_INDEX
-from depthmocap.evaluate.stories import HALF_X, HALF_Y, Stage, Story
+from depthmocap.evaluate.scenarios import HALF_X, HALF_Y, Stage, Story
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import Rig, look_at
 from depthmocap.synth.render import Material, render_person

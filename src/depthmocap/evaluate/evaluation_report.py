@@ -16,11 +16,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from depthmocap.output import check_outputs, replacing, write_json
+from depthmocap.core.output import check_outputs, replacing, write_json
+from depthmocap.core.settings import plain_settings
 from depthmocap.report.charts import joint_error_bars, precision_curve, reliability_diagram
 from depthmocap.report.metrics import JointMetrics, Reliability
 from depthmocap.report.page import Cell, ReportFigure, ReportSection, ReportTable, write_report
-from depthmocap.settings import plain_settings
 
 Numbers = Mapping[str, Any]
 
@@ -71,7 +71,7 @@ FILES = tuple(field.name for field in dataclasses.fields(Outputs))
 
 def about(settings: Outputs) -> dict[str, Any]:
     """What an evaluation's numbers depend on besides the data: the version, and all settings but its files."""
-    from depthmocap import __version__
+    from depthmocap.core.version import __version__
 
     kept = {key: value for key, value in plain_settings(settings).items() if key not in FILES}
     return {"depthmocap": __version__, **kept}

@@ -13,7 +13,7 @@ from depthmocap.body.regions import DISPLAY_COLOURS, REGION_COUNT, REGION_NAMES
 from depthmocap.errors import InputError
 from depthmocap.evaluate.label_measures import Calibration
 from depthmocap.report.charts import COLOURS, INK, SOFT, as_png, name_axes, new_figure
-from depthmocap.report.pictures import colour_labels, depth_picture
+from depthmocap.report.drawing import colour_labels, depth_picture
 
 _CELL, _GAP = 220, 4
 

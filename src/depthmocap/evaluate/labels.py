@@ -13,18 +13,18 @@ from rich.progress import Progress
 from rich.table import Table
 
 from depthmocap.body.regions import REGION_COUNT, REGION_NAMES, UNLABELLED
-from depthmocap.classify.runtime import Classifier
-from depthmocap.console import Terminal
+from depthmocap.classify.classifier import Classifier
+from depthmocap.core.console import Terminal
+from depthmocap.core.locks import owns
+from depthmocap.core.output import check_outputs, replacing, write_file, write_json
+from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.evaluate.label_charts import LabelExample, label_grid, region_bars, reliability_diagram
 from depthmocap.evaluate.label_measures import LEAST_PIXELS, PARTS, BorderAccuracy, Calibration, PartSwaps
 from depthmocap.frames import FrameSet, View
-from depthmocap.output import check_outputs, replacing, write_file, write_json
-from depthmocap.owning import owns
 from depthmocap.report.charts import confusion_picture
 from depthmocap.report.metrics import PixelAccuracy
 from depthmocap.report.page import ReportFigure, ReportSection, ReportTable, write_report
-from depthmocap.settings import check_seed
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,8 +130,8 @@ def _frames(settings: LabelsEvaluation) -> Iterator[FrameSet]:
         yield from iterate(settings.data, settings.subset, settings.split, settings.samples)
         return
     try:
-        from depthmocap.synth.output.stream import stream
         from depthmocap.synth.sample import BENCH
+        from depthmocap.synth.writing.stream import stream
     except ModuleNotFoundError as error:
         raise missing_extra(error.name or "anny", "train") from None
     if settings.bench not in BENCH:

@@ -12,15 +12,15 @@ from rich.console import Console
 from rich.table import Table
 
 from depthmocap.body.regions import MIRROR, REGION
-from depthmocap.classify.runtime import Classifier
-from depthmocap.console import Terminal
+from depthmocap.classify.classifier import Classifier
+from depthmocap.core.console import Terminal
+from depthmocap.core.locks import owns
+from depthmocap.core.output import check_outputs, write_json
+from depthmocap.core.reading.image_files import read_picture
+from depthmocap.core.reading.json_text import array, read_json
 from depthmocap.errors import InputError
 from depthmocap.frames import View
-from depthmocap.geometry.cameras import DepthCamera
-from depthmocap.output import check_outputs, write_json
-from depthmocap.owning import owns
-from depthmocap.reading.json_text import array, read_json
-from depthmocap.reading.pictures import read_picture
+from depthmocap.geometry.depth_camera import DepthCamera
 
 #: Regions that a joint seen from any side may lie on; R and L are added for its side.
 ALLOWED: dict[str, tuple[str, ...]] = {

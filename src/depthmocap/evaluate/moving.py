@@ -15,11 +15,11 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
-from depthmocap.body.model import Body, BodyModel, Phenotype
-from depthmocap.body.posture import heading, turn_posture
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, View
+from depthmocap.synth.body.bones import heading, turn_posture
+from depthmocap.synth.body.mesh import Body, BodyModel, Phenotype
 from depthmocap.synth.motion.mocap import Clip, ClipFolder, split_of
 from depthmocap.synth.motion.postures import PosturePrior, anny_rest
 from depthmocap.synth.people.bodies import random_dressed

@@ -13,7 +13,7 @@ from jaxtyping import Float, Shaped
 from numpy import ndarray
 
 from depthmocap.errors import InputError
-from depthmocap.evaluate.observe import Observations
+from depthmocap.evaluate.labelled_frames import Observations
 from depthmocap.evaluate.refit import fit_joints
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
 

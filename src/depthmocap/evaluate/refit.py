@@ -22,7 +22,7 @@ from numpy import ndarray
 from depthmocap.body.regions import REGION_COUNT
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
-from depthmocap.evaluate.observe import Observations
+from depthmocap.evaluate.labelled_frames import Observations
 from depthmocap.pose.ridge import STRENGTHS, grouped_folds
 
 INPUTS = 3 * (len(JOINTS) + REGION_COUNT)

@@ -11,15 +11,15 @@ from typing import Any
 
 from rich.console import Console
 
-from depthmocap.classify.runtime import Classifier
-from depthmocap.console import Terminal
+from depthmocap.classify.classifier import Classifier
+from depthmocap.core.console import Terminal
+from depthmocap.core.locks import owns
+from depthmocap.core.output import write_json
+from depthmocap.core.settings import plain_settings
 from depthmocap.errors import InputError
 from depthmocap.evaluate.reproduce_real import RealPart, reproduce_eval, reproduce_mhad
 from depthmocap.evaluate.reproduce_ubc3v import Ubc3vPart, reproduce_ubc3v
-from depthmocap.output import write_json
-from depthmocap.owning import owns
 from depthmocap.report.page import ReportSection, write_report
-from depthmocap.settings import plain_settings
 from depthmocap.text import joined
 
 Part = Callable[[Console], tuple[list[ReportSection], dict[str, Any]]]

@@ -13,19 +13,20 @@ from numpy import ndarray
 from rich.console import Console
 
 from depthmocap.body.skeleton import JOINTS
-from depthmocap.classify.runtime import Classifier
+from depthmocap.classify.classifier import Classifier
 from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet
 from depthmocap.datasets.eval3d import Eval
 from depthmocap.datasets.mhad import ACTIONS, MHAD_OURS, MhadSet
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import report_sections
-from depthmocap.evaluate.mhad import MhadResults, measure_mhad
+from depthmocap.evaluate.mhad_protocol import MhadResults, measure_mhad
 from depthmocap.evaluate.reproduce_ubc3v import pose_rows
 from depthmocap.geometry import z_up_from
-from depthmocap.pose.cloud import LabelledCloud, label_people, merge_views
-from depthmocap.pose.estimate import load_estimator
+from depthmocap.pose.cloud import LabelledCloud, merge_views
+from depthmocap.pose.estimators import load_estimator
+from depthmocap.pose.labelled_view import label_people
+from depthmocap.report.drawing import cloud_picture, labelled_depth_strip
 from depthmocap.report.page import ReportFigure, ReportSection, ReportTable
-from depthmocap.report.pictures import cloud_picture, labelled_depth_strip
 from depthmocap.text import joined
 
 #: Table III: error (cm), its deviation, share within 10 cm (%), by subjects and by actions.

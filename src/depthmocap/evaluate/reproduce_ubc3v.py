@@ -10,14 +10,14 @@ from typing import Any
 from rich.console import Console
 from rich.progress import Progress
 
-from depthmocap.classify.runtime import Classifier
+from depthmocap.classify.classifier import Classifier
 from depthmocap.datasets.ubc3v import iterate
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import report_sections
 from depthmocap.evaluate.label_charts import LabelExample, label_grid
 from depthmocap.evaluate.labels import LabelQuality
 from depthmocap.evaluate.synthetic import Labels, measure
-from depthmocap.pose.estimate import load_estimator
+from depthmocap.pose.estimators import load_estimator
 from depthmocap.report.page import Cell, ReportFigure, ReportSection, ReportTable
 
 SUBSETS = ("easy", "inter", "hard")

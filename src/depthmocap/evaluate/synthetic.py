@@ -14,13 +14,14 @@ from rich.console import Console
 from rich.table import Table
 
 from depthmocap.body.regions import REGION_NAMES, UNLABELLED
-from depthmocap.classify.runtime import Classifier
+from depthmocap.classify.classifier import Classifier
 from depthmocap.errors import InputError
 from depthmocap.evaluate.facing import facing_numbers
 from depthmocap.frames import FrameSet, View
-from depthmocap.pose.cloud import LabelledView, merge_views
-from depthmocap.pose.cloud import Labels as Labels
-from depthmocap.pose.estimate import JointEstimator
+from depthmocap.pose.cloud import merge_views
+from depthmocap.pose.estimators import JointEstimator
+from depthmocap.pose.labelled_view import LabelledView
+from depthmocap.pose.labelled_view import Labels as Labels
 from depthmocap.report.metrics import (
     CONFIDENCE_BINS,
     PixelAccuracy,

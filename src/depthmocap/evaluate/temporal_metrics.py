@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from depthmocap.body.skeleton import BONES, JOINT_INDEX, MIRROR
-from depthmocap.pose.sides import LIMBS, limb_joints
+from depthmocap.smooth.swap_guard import LIMBS, limb_joints
 
 #: A joint is at rest, and a foot on the floor, while its true place moves slower than this.
 REST_MPS = 0.05

@@ -1,6 +1,6 @@
 """Rigid transforms, depth cameras and rigs."""
 
-from depthmocap.geometry.cameras import DepthCamera, Rig, check_placed, load_rig, save_rig
+from depthmocap.geometry.depth_camera import DepthCamera, Rig, check_placed, load_rig, save_rig
 from depthmocap.geometry.transforms import (
     is_rigid,
     look_at,

@@ -13,7 +13,7 @@ import numba
 from numba.core import config
 from numba.core.caching import FunctionCache
 
-from depthmocap.caches import see_to_home, temporary_cache
+from depthmocap.core.caches import see_to_home, temporary_cache
 
 _save = FunctionCache.save_overload
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
@@ -13,29 +12,14 @@ from numpy import ndarray
 from depthmocap.body.regions import REGION_COUNT
 from depthmocap.errors import InputError
 from depthmocap.frames import View
-from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.kernels.box import box_of
-from depthmocap.kernels.cloud import unproject_labelled
+from depthmocap.kernels.point_cloud import unproject_labelled
+from depthmocap.pose.labelled_view import LabelledView
 from depthmocap.pose.mirrored import undo_mirrored
 
-if TYPE_CHECKING:
-    from depthmocap.classify.runtime import Classifier
-
-#: Labels of a view: the network's, or its true ones.
-Labels = Literal["network", "true"]
-LABELS: tuple[Labels, ...] = ("network", "true")
 #: Clouds with fewer points hold no person.
 MIN_CLOUD_POINTS = 50
-
-
-class LabelledView(NamedTuple):
-    """A view, its labels per pixel, the probabilities of those labels (None: the labels are true), and where the
-    network takes the joints to be in the world, with the error to expect (metres; None or NaN: it does not tell)."""
-
-    view: View
-    labels: UInt8[ndarray, "_ _"]
-    weights: Float[ndarray, "_ _"] | None = None
-    joints: Float[ndarray, "18 4"] | None = None
 
 
 _NO_RAYS = np.empty((0, 0, 2), np.float32)
@@ -60,18 +44,6 @@ class LabelledCloud:
 
     def __len__(self) -> int:
         return len(self.labels)
-
-
-def label_people(views: Sequence[View], classifier: Classifier, up: str | None = None) -> list[LabelledView]:
-    """Views with what the network finds at the person's mask, or where there is none at every pixel with depth.
-
-    Args:
-        up: the world's up axis, where it is known (see ``Classifier.label_views``).
-    """
-    masks = [view.depth_m > 0 if view.mask is None else view.mask for view in views]
-    return [
-        LabelledView(view, *found) for view, found in zip(views, classifier.label_views(views, masks, up), strict=True)
-    ]
 
 
 def merge_views(parts: Sequence[LabelledView]) -> LabelledCloud:

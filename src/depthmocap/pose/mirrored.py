@@ -4,7 +4,6 @@ undone before they vote."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -12,9 +11,7 @@ from numpy import ndarray
 
 from depthmocap.body.regions import MIRROR as MIRRORED_REGIONS
 from depthmocap.body.skeleton import MIRROR, SIDED
-
-if TYPE_CHECKING:
-    from depthmocap.pose.cloud import LabelledView
+from depthmocap.pose.labelled_view import LabelledView
 
 #: One of two views is mirrored where exchanging its sides leaves less than this share of their distance, and that much
 #: (metres) less.

@@ -20,7 +20,7 @@ from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
 from depthmocap.body.skeleton import MIRROR as MIRRORED_JOINTS
 from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
-from depthmocap.kernels.parts import part_moments
+from depthmocap.kernels.part_moments import part_moments
 from depthmocap.pose.cloud import LabelledCloud
 
 #: Columns of what a camera saw of a region: points, area seen (m²), mean label probability, share of it near the

@@ -22,11 +22,11 @@ from jaxtyping import Float, Float32, Int
 from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINTS
+from depthmocap.core.output import replacing
+from depthmocap.core.reading.array_files import ArrayType, read_npz, why
+from depthmocap.core.reading.input_files import check_file
 from depthmocap.errors import InputError
-from depthmocap.output import replacing
 from depthmocap.pose.features import FEATURE_COUNT, FeatureFrame
-from depthmocap.reading.arrays import ArrayType, read_npz, why
-from depthmocap.reading.files import check_file
 
 #: Strengths among which cross-validation chooses.
 STRENGTHS = np.logspace(-1, 6, 15)

@@ -11,9 +11,9 @@ from jaxtyping import Float32, Float64
 from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINTS
+from depthmocap.core.onnx_session import open_network
 from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
-from depthmocap.onnx_file import open_network
 from depthmocap.pose.cloud import MIN_CLOUD_POINTS, LabelledCloud
 from depthmocap.pose.parts import PART_COUNT, body_frame, network_inputs, part_statistics
 

@@ -15,8 +15,8 @@ from jaxtyping import UInt8
 from numpy import ndarray
 from PIL import Image
 
+from depthmocap.core.output import write_file
 from depthmocap.errors import InputError
-from depthmocap.output import write_file
 from depthmocap.text import harmless
 
 Cell = str | int | float | None

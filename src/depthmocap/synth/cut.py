@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINT_INDEX
-from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.geometry.transforms import unit
 
 #: Hidden is what lies below the knees, thighs, hips or chest; above the waist or the neck; to one side; or beyond an

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
-from depthmocap.body.model import PosedBody
-from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.geometry.transforms import transform_points
 from depthmocap.kernels.raster import rasterise
+from depthmocap.synth.body.mesh import PosedBody
 
 #: Nothing nearer than this is drawn (metres).
 NEAR_M = 0.15

@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from depthmocap.body.model import PosedBody
+from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError
 from depthmocap.frames import View
-from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.geometry.transforms import look_at
-from depthmocap.settings import check_seed
+from depthmocap.synth.body.mesh import PosedBody
 from depthmocap.synth.cut import CUTS, Cut, cut_plane, random_cut
 from depthmocap.synth.motion.beyond import FAMILIES, Family
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, PostureSource, Variation, posture_source

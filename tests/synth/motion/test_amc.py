@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from clip_files import POSE, amc_text, asf_text, check_pose, heads, skeleton, write_bvh
 
-from depthmocap.body.model import Body
 from depthmocap.errors import InputError
-from depthmocap.synth.motion.clips.amc import read_amc_motion, read_asf
+from depthmocap.synth.body.mesh import Body
+from depthmocap.synth.motion.clips.amc_clips import read_amc_motion, read_asf
 from depthmocap.synth.motion.mocap import Clip, ClipFolder, ClipReading, read_amc, read_bvh
 
 pytest.importorskip("bvhio")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthmocap.body.model import REST_POSTURE, Body
-from depthmocap.body.posture import POSTURE_INDEX, world_rotations
 from depthmocap.body.skeleton import JOINT_INDEX
+from depthmocap.synth.body.bones import POSTURE_INDEX, world_rotations
+from depthmocap.synth.body.mesh import REST_POSTURE, Body
 from depthmocap.synth.motion.beyond import FAMILIES, beyond_recorded, cuts_itself, on_floor, stick_points
 from depthmocap.synth.motion.limits import within_limits
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, PosturePrior, Variation

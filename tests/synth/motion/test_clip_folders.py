@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from clip_files import POSE, amc_text, check_pose, heads, skeleton, write_bvh
 
-from depthmocap.body.model import Body
-from depthmocap.body.posture import POSTURE_INDEX
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
+from depthmocap.synth.body.bones import POSTURE_INDEX
+from depthmocap.synth.body.mesh import Body
 from depthmocap.synth.motion.mocap import Clip, ClipFolder, ClipReading, SkippedClip, read_bvh
 from depthmocap.synth.motion.postures import load_clips
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from depthmocap.body.model import Body
-from depthmocap.body.posture import heading, turn_posture
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
+from depthmocap.synth.body.bones import heading, turn_posture
+from depthmocap.synth.body.mesh import Body
 from depthmocap.synth.motion.mocap import SPLITS, read_bvh, split_of, without_heading
 from depthmocap.synth.motion.postures import load_clips
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthmocap.body.posture import POSTURE_INDEX, heading, mirror_posture
 from depthmocap.errors import InputError
+from depthmocap.synth.body.bones import POSTURE_INDEX, heading, mirror_posture
 from depthmocap.synth.motion import pool_build
 from depthmocap.synth.motion.cover import Cover, farthest_points
 from depthmocap.synth.motion.limits import LIMITS_DEG, bone_axis, swing_twist, within_limits

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from depthmocap.body.model import Body
-from depthmocap.body.posture import POSTURE_INDEX, heading, mirror_posture, world_rotations
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
+from depthmocap.synth.body.bones import POSTURE_INDEX, heading, mirror_posture, world_rotations
+from depthmocap.synth.body.mesh import Body
 from depthmocap.synth.motion.mocap import Clip
 from depthmocap.synth.motion.postures import (
     TRAINING_VARIATION,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from depthmocap.body.model import REST_POSTURE, Body
-from depthmocap.body.posture import POSTURE_BONES, heading, turn_posture
 from depthmocap.body.skeleton import JOINT_INDEX
+from depthmocap.synth.body.bones import POSTURE_BONES, heading, turn_posture
+from depthmocap.synth.body.mesh import REST_POSTURE, Body
 from depthmocap.synth.motion.limits import within_limits
 from depthmocap.synth.motion.postures import PosturePrior
 from depthmocap.synth.motion.seat import seated

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from depthmocap.body.model import BodyModel
-from depthmocap.body.posture import mirror_posture
 from depthmocap.body.skeleton import BONES, JOINT_INDEX, JOINTS, MIRROR
-from depthmocap.capture.recording import Recording
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, look_at
-from depthmocap.synth.demo import LEARNT_CAMERA, ROOM, demo_body, demo_frames, demo_rig, write_demo
+from depthmocap.recordings.folder import Recording
+from depthmocap.synth.body.bones import mirror_posture
+from depthmocap.synth.body.mesh import BodyModel
+from depthmocap.synth.demo_scene import LEARNT_CAMERA, ROOM, demo_body, demo_frames, demo_rig, write_demo
 from depthmocap.synth.motion import sequence
 from depthmocap.synth.motion.perform import Motion, pose_sequence
 from depthmocap.synth.motion.sequence import DEMO_SECONDS, demo_motion

@@ -10,12 +10,12 @@ import pytest
 from clip_files import ASF_NAMES, POSE, PROGRAMS, check_pose, heads, skeleton, write_bvh
 from scipy.spatial.transform import Rotation
 
-from depthmocap.body.model import Body
-from depthmocap.body.posture import POSTURE_INDEX
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
-from depthmocap.synth.motion.clips.bvh import read_bvh_motion
-from depthmocap.synth.motion.clips.motion import Motion
+from depthmocap.synth.body.bones import POSTURE_INDEX
+from depthmocap.synth.body.mesh import Body
+from depthmocap.synth.motion.clips.bvh_clips import read_bvh_motion
+from depthmocap.synth.motion.clips.clip_motion import Motion
 from depthmocap.synth.motion.clips.retarget import retarget
 from depthmocap.synth.motion.clips.skeletons import map_skeleton, read_mapping
 from depthmocap.synth.motion.mocap import read_bvh, without_heading

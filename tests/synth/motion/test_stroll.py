@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from depthmocap.body.skeleton import JOINT_INDEX
-from depthmocap.synth.demo import demo_body
+from depthmocap.synth.demo_scene import demo_body
 from depthmocap.synth.motion.perform import pose_sequence
 from depthmocap.synth.motion.stroll import Stop, stroll
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from depthmocap.body.model import REST_POSTURE, Body
-from depthmocap.body.posture import POSTURE_BONES, POSTURE_INDEX, turn_posture, world_rotations
 from depthmocap.body.regions import MIRROR, REGION
 from depthmocap.geometry.transforms import rotation_between
+from depthmocap.synth.body.bones import POSTURE_BONES, POSTURE_INDEX, turn_posture, world_rotations
+from depthmocap.synth.body.mesh import REST_POSTURE, Body
 from depthmocap.synth.motion.limits import within_limits
 from depthmocap.synth.motion.postures import PosturePrior, Variation
 from depthmocap.synth.motion.touch import _skin, _through_trunk, hands_on_body

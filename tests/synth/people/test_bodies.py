@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from depthmocap.body.model import BodyModel, Phenotype
+from depthmocap.synth.body.mesh import BodyModel, Phenotype
 from depthmocap.synth.people.bodies import (
     ONE_CHARACTER,
     random_dressed,

@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from depthmocap.body.model import REST_POSTURE, Body, BodyModel, Phenotype
-from depthmocap.body.posture import POSTURE_INDEX
 from depthmocap.body.regions import REGION_NAMES
 from depthmocap.errors import InputError
-from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.geometry.transforms import look_at
+from depthmocap.synth.body.bones import POSTURE_INDEX
+from depthmocap.synth.body.mesh import REST_POSTURE, Body, BodyModel, Phenotype
 from depthmocap.synth.people.garments import DressedBody, clothe
 from depthmocap.synth.people.shell import PosedCloth
 from depthmocap.synth.people.wardrobe import (

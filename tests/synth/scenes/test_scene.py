@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from depthmocap.body.model import REST_POSTURE, Body
-from depthmocap.body.posture import POSTURE_INDEX
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, look_at
+from depthmocap.synth.body.bones import POSTURE_INDEX
+from depthmocap.synth.body.mesh import REST_POSTURE, Body
 from depthmocap.synth.motion.postures import PosturePrior
 from depthmocap.synth.render import Layer, Material, PosedPerson, render_person
 from depthmocap.synth.scenes import furniture

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from depthmocap.errors import InputError
-from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.synth.render import Material
 from depthmocap.synth.sensing.sensor import SensorModel, sense
 

@@ -20,8 +20,8 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from depthmocap.body.posture import POSTURE_BONES, POSTURE_INDEX, POSTURE_PARENTS, world_rotations
 from depthmocap.geometry.transforms import rotation_between
+from depthmocap.synth.body.bones import POSTURE_BONES, POSTURE_INDEX, POSTURE_PARENTS, world_rotations
 from depthmocap.synth.motion.limits import bone_axis, within_limits
 
 #: On the floor, where gravity leaves a body; about as upright as the posture was; free in the air, any way up.

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from depthmocap.kernels.cover import grow_cover, pick_farthest
+from depthmocap.kernels.nearest_postures import grow_cover, pick_farthest
 from depthmocap.synth.motion.mocap import without_heading
 from depthmocap.synth.motion.postures import joint_positions
 

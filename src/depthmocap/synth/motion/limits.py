@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
-from depthmocap.body.posture import POSTURE_BONES, POSTURE_INDEX
+from depthmocap.synth.body.bones import POSTURE_BONES, POSTURE_INDEX
 
 #: By kind of bone: swing, and twist about the bone's own axis, away from rest (degrees). The pelvis is free.
 LIMITS_DEG: dict[str, tuple[float, float]] = {

@@ -15,12 +15,12 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
-from depthmocap.body.posture import POSTURE_INDEX, heading, turn_posture
+from depthmocap.core.reading.input_files import read_text
 from depthmocap.errors import InputError
-from depthmocap.reading.files import read_text
-from depthmocap.synth.motion.clips.amc import AMC_FPS, AsfSkeleton, read_amc_motion, read_asf
-from depthmocap.synth.motion.clips.bvh import read_bvh_motion
-from depthmocap.synth.motion.clips.motion import Motion
+from depthmocap.synth.body.bones import POSTURE_INDEX, heading, turn_posture
+from depthmocap.synth.motion.clips.amc_clips import AMC_FPS, AsfSkeleton, read_amc_motion, read_asf
+from depthmocap.synth.motion.clips.bvh_clips import read_bvh_motion
+from depthmocap.synth.motion.clips.clip_motion import Motion
 from depthmocap.synth.motion.clips.retarget import Retargeted, Up, retarget
 from depthmocap.synth.motion.clips.skeletons import Joints, map_skeleton
 from depthmocap.synth.motion.limits import beyond_limits, within_limits

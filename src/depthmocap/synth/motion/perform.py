@@ -16,10 +16,10 @@ from numpy import ndarray
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
-from depthmocap.body.model import REST_POSTURE
-from depthmocap.body.posture import POSTURE_INDEX, local_rotations
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.geometry.transforms import rotation_between
+from depthmocap.synth.body.bones import POSTURE_INDEX, local_rotations
+from depthmocap.synth.body.mesh import REST_POSTURE
 from depthmocap.synth.people.garments import DressedBody
 from depthmocap.synth.render import PosedPerson
 

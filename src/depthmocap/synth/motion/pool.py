@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
+from depthmocap.core.output import replacing
+from depthmocap.core.reading.array_files import ArrayType, read_npz, why
+from depthmocap.core.reading.json_text import parse_json
 from depthmocap.errors import InputError
-from depthmocap.output import replacing
-from depthmocap.reading.arrays import ArrayType, read_npz, why
-from depthmocap.reading.json_text import parse_json
 from depthmocap.synth.motion.mocap import SPLITS
 
 #: How a posture came to be, in the order of :attr:`PosturePool.kinds`.

@@ -14,12 +14,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from depthmocap.body.posture import mirror_posture
-from depthmocap.console import Terminal
+from depthmocap.core.console import Terminal
+from depthmocap.core.locks import owns
+from depthmocap.core.output import check_outputs
+from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
-from depthmocap.output import check_outputs
-from depthmocap.owning import owns
-from depthmocap.settings import check_seed, plain_settings
+from depthmocap.synth.body.bones import mirror_posture
 from depthmocap.synth.motion.clips.retarget import Up
 from depthmocap.synth.motion.clips.skeletons import read_mapping
 from depthmocap.synth.motion.cover import Cover, farthest_points

@@ -15,8 +15,9 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
-from depthmocap.body.model import BodyModel, Phenotype
-from depthmocap.body.posture import (
+from depthmocap.core.reading.array_files import ArrayType, read_npz, why
+from depthmocap.errors import InputError
+from depthmocap.synth.body.bones import (
     POSTURE_BONES,
     POSTURE_INDEX,
     POSTURE_PARENTS,
@@ -24,8 +25,7 @@ from depthmocap.body.posture import (
     turn_posture,
     world_rotations,
 )
-from depthmocap.errors import InputError
-from depthmocap.reading.arrays import ArrayType, read_npz, why
+from depthmocap.synth.body.mesh import BodyModel, Phenotype
 from depthmocap.synth.motion.beyond import Family, beyond_recorded
 from depthmocap.synth.motion.limits import bone_axis
 from depthmocap.synth.motion.mocap import Clip, ClipFolder, SkippedClip, check_any_read, without_heading

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from sklearn.mixture import GaussianMixture
 
-from depthmocap.body.posture import mirror_posture
-from depthmocap.console import Terminal
+from depthmocap.core.console import Terminal
+from depthmocap.core.locks import owns
+from depthmocap.core.output import replacing
+from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError
-from depthmocap.output import replacing
-from depthmocap.owning import owns
-from depthmocap.settings import check_seed
+from depthmocap.synth.body.bones import mirror_posture
 from depthmocap.synth.motion.mocap import Clip, without_heading
 from depthmocap.synth.motion.postures import load_clips, thin
 

@@ -11,13 +11,13 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 from rich.table import Table
 
-from depthmocap.body.model import BodyModel, Phenotype
-from depthmocap.console import Terminal
+from depthmocap.core.console import Terminal
+from depthmocap.core.locks import owns
+from depthmocap.core.output import check_outputs, write_json
+from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
-from depthmocap.kernels.cover import nearest_distances
-from depthmocap.output import check_outputs, write_json
-from depthmocap.owning import owns
-from depthmocap.settings import check_seed, plain_settings
+from depthmocap.kernels.nearest_postures import nearest_distances
+from depthmocap.synth.body.mesh import BodyModel, Phenotype
 from depthmocap.synth.motion.limits import within_limits
 from depthmocap.synth.motion.mocap import Clip, without_heading
 from depthmocap.synth.motion.postures import (

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
-from depthmocap.body.posture import POSTURE_INDEX, heading
+from depthmocap.synth.body.bones import POSTURE_INDEX, heading
 
 #: Share of people who cross their legs.
 _CROSSED = 0.15

@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from depthmocap.body.model import Body, BodyModel, BoneTransforms, Phenotype
-from depthmocap.body.posture import POSTURE_INDEX, local_rotations, world_rotations
 from depthmocap.body.regions import MIRROR, REGION
 from depthmocap.geometry.transforms import rotation_between, unit
+from depthmocap.synth.body.bones import POSTURE_INDEX, local_rotations, world_rotations
+from depthmocap.synth.body.mesh import Body, BodyModel, BoneTransforms, Phenotype
 from depthmocap.synth.motion.limits import within_limits
 
 #: Where hands go and how often: regions of the right hand's own side and of the other (R and L exchanged for the left).

@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from depthmocap.body.hands import random_grip, with_hands
-from depthmocap.body.model import BodyModel, Phenotype
+from depthmocap.synth.body.hands import random_grip, with_hands
+from depthmocap.synth.body.mesh import BodyModel, Phenotype
 from depthmocap.synth.people.garments import DressedBody, clothe
 from depthmocap.synth.people.wardrobe import ORDINARY_CLOTHES, random_clothes
 

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from depthmocap.body.model import BodyModel, Phenotype
 from depthmocap.body.regions import REGION_NAMES
+from depthmocap.synth.body.mesh import BodyModel, Phenotype
 from depthmocap.synth.people.wardrobe import SKIRT_LINE_M
 
 #: Columns of a sheet that hangs around both legs, evenly around the body from its back, and of one of hair.

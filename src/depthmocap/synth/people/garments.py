@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from depthmocap.body.model import Body, BodyModel, BoneTransforms, Phenotype
+from depthmocap.synth.body.mesh import Body, BodyModel, BoneTransforms, Phenotype
 from depthmocap.synth.people.sheet import Sheet, hair_sheet, leg_capsules, skirt_sheet, tail_sheet
 from depthmocap.synth.people.shell import (
     PosedCloth,

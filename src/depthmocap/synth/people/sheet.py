@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from depthmocap.body.model import Body, BoneTransforms
 from depthmocap.kernels.garment import relax
+from depthmocap.synth.body.mesh import Body, BoneTransforms
 from depthmocap.synth.people.cloth_map import HAIR_SIDE_RAD
 from depthmocap.synth.people.shell import RestCloth
 from depthmocap.synth.people.wardrobe import Garment, Hair

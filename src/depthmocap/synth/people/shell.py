@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from depthmocap.body.model import Body, BoneTransforms
 from depthmocap.kernels.garment import between, compression, cut, edge_lengths, hang, rings, taut, wear
 from depthmocap.kernels.skin import skin_with_normals, vertex_normals
+from depthmocap.synth.body.mesh import Body, BoneTransforms
 from depthmocap.synth.people.cloth_map import ARM_M, LEG_M, SECTIONS, Anchors, ClothMap
 from depthmocap.synth.people.wardrobe import SKIRT_LINE_M, Garment, Hair, Shoes
 

@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from depthmocap.body.model import BodyModel
 from depthmocap.body.regions import REGION_NAMES
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.geometry.transforms import unit
+from depthmocap.synth.body.mesh import BodyModel
 from depthmocap.synth.render import Material, PosedPerson
 from depthmocap.synth.scenes.solids import NONE, Solids, above, box, capsule, chain, cylinder, ellipsoid, join
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.synth.scenes.solids import Solids, box, join, shell
 
 _Point = tuple[float, float, float]

@@ -17,7 +17,7 @@ from numpy import ndarray
 
 from depthmocap.body.skeleton import BONES, JOINT_INDEX
 from depthmocap.errors import InputError
-from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.synth.render import Material, PosedPerson, draw_mesh
 from depthmocap.synth.scenes.furniture import yaw
 from depthmocap.synth.scenes.objects import held_object

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
-from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.kernels.cast import BOX, CAPSULE, CYLINDER, ELLIPSOID, SHELL, cast, hides, holds_any
 from depthmocap.synth.render import Material
 

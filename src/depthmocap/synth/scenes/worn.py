@@ -11,8 +11,8 @@ from jaxtyping import Float
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
-from depthmocap.body.model import BodyModel, Phenotype, PosedBody
 from depthmocap.body.skeleton import JOINT_INDEX
+from depthmocap.synth.body.mesh import BodyModel, Phenotype, PosedBody
 from depthmocap.synth.render import Material, PosedPerson
 from depthmocap.synth.scenes.objects import TRIES, axes_of, skin_points, trunk_axes, vertices_of
 from depthmocap.synth.scenes.solids import NONE, Solids, box, capsule, chain, ellipsoid, join

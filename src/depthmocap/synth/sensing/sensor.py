@@ -10,8 +10,8 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray
 
 from depthmocap.errors import InputError
-from depthmocap.geometry.cameras import DepthCamera
-from depthmocap.kernels.sensor import (
+from depthmocap.geometry.depth_camera import DepthCamera
+from depthmocap.kernels.sensor_errors import (
     EDGE_BLOCK,
     FACING_STEP,
     MARGIN,

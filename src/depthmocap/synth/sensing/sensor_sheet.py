@@ -13,13 +13,13 @@ from matplotlib.figure import Figure
 from numpy import ndarray
 from PIL import Image
 
-from depthmocap.body.model import BodyModel
-from depthmocap.console import Terminal
+from depthmocap.core.console import Terminal
+from depthmocap.core.locks import owns
+from depthmocap.core.output import replacing
+from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError
 from depthmocap.geometry.transforms import look_at
-from depthmocap.output import replacing
-from depthmocap.owning import owns
-from depthmocap.settings import check_seed
+from depthmocap.synth.body.mesh import BodyModel
 from depthmocap.synth.motion.perform import pose_sequence
 from depthmocap.synth.motion.sequence import demo_motion
 from depthmocap.synth.people.bodies import ONE_CHARACTER, ORDINARY_CLOTHES, clothe

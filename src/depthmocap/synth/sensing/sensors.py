@@ -28,7 +28,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from depthmocap.errors import InputError
-from depthmocap.geometry.cameras import DepthCamera
+from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.synth.sensing.sensor import SensorModel
 
 Technology = Literal["tof", "structured light", "stereo"]

@@ -10,10 +10,10 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
-from depthmocap.body.posture import POSTURE_BONES, POSTURE_PARENTS, local_rotations
 from depthmocap.errors import InputError
 from depthmocap.geometry.transforms import rotation_between
-from depthmocap.synth.motion.clips.motion import Motion
+from depthmocap.synth.body.bones import POSTURE_BONES, POSTURE_PARENTS, local_rotations
+from depthmocap.synth.motion.clips.clip_motion import Motion
 from depthmocap.synth.motion.clips.skeletons import SkeletonMap
 
 #: Bones whose direction at rest differs between skeletons (T-pose, arms down): from their own head to this bone's.

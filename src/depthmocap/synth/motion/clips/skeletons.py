@@ -7,10 +7,10 @@ import itertools
 import re
 from pathlib import Path
 
-from depthmocap.body.posture import POSTURE_BONES
+from depthmocap.core.reading.json_text import read_json
 from depthmocap.errors import InputError
-from depthmocap.reading.json_text import read_json
-from depthmocap.synth.motion.clips.motion import Motion
+from depthmocap.synth.body.bones import POSTURE_BONES
+from depthmocap.synth.motion.clips.clip_motion import Motion
 
 _LIMB_BONES = ("clavicle", "upper_arm", "forearm", "hand", "thigh", "shin", "foot")
 _TRUNK_BONES = ("pelvis", "spine_low", "spine_mid", "spine_up", "neck", "head")

@@ -1,0 +1,117 @@
+"""A person who walks about and moves the arms in a generated room, recorded by cameras whose places are known."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
+
+from depthmocap.geometry import Rig, look_at
+from depthmocap.recordings.folder import RecordingWriter
+from depthmocap.synth.body.bones import POSTURE_INDEX
+from depthmocap.synth.motion.perform import Motion, pose_sequence
+from depthmocap.synth.motion.stroll import Stop, stroll
+from depthmocap.synth.people.bodies import random_dressed
+from depthmocap.synth.people.garments import DressedBody
+from depthmocap.synth.render import render_person
+from depthmocap.synth.scenes.room import Box, Room, render_room, shelf, table
+from depthmocap.synth.sensing.sensor import sense
+from depthmocap.synth.sensing.sensors import SENSORS
+
+#: Half the room's sides (metres).
+_HALF_X, _HALF_Y = 3.1, 2.9
+_ROOM = Room(
+    Box((-_HALF_X, -_HALF_Y, 0.0), (_HALF_X, _HALF_Y, 2.8)),
+    (
+        *table((-0.75, 2.1), (0.75, 2.8), 0.74),
+        *shelf((-_HALF_X, -1.4), (-2.75, 0.0), 1.8, 5),
+        Box((2.5, -2.6, 0.0), (3.1, -1.8, 1.1)),
+    ),
+)
+#: Cameras of these makes by turns.
+_SENSORS = ("kinect2", "azure-nfov-binned")
+#: The person keeps within this of the room's middle, walks so fast, and stops so long now and then.
+_REACH_M, _SPEED_MPS, _STAND_S = 0.9, 0.7, 1.5
+#: Arms wander by this (radians, standard deviation) about their swing, within so many seconds.
+_WAVE_RAD, _WAVE_S = 0.6, 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class TrialScene:
+    """What is recorded.
+
+    Attributes:
+        azimuths_deg: where the cameras stand around the room's middle, 0 at −Y, towards +X.
+        out_of_step_s: how much later than its timestamps say each camera looks.
+        room: whether there is a room around the person; otherwise the sensors read nothing behind them.
+    """
+
+    azimuths_deg: tuple[float, ...] = (10.0, 125.0, 245.0)
+    out_of_step_s: tuple[float, ...] = ()
+    seconds: float = 30.0
+    rate_hz: float = 8.0
+    room: bool = True
+    seed: int = 0
+
+    def write(self, path: Path) -> Rig:
+        """Write the recording, its rig.json without the truth (all cameras at the origin); returns the true rig."""
+        rng = np.random.default_rng([self.seed, 0])
+        presets = [SENSORS[_SENSORS[i % 2]] for i in range(len(self.azimuths_deg))]
+        rig = Rig(tuple(
+            preset.camera(f"cam{i}", _mount(rng, azimuth))
+            for i, (azimuth, preset) in enumerate(zip(self.azimuths_deg, presets, strict=True))
+        ))  # fmt: skip
+        dressed = random_dressed(rng, "open")
+        times_s = np.arange(round(self.seconds * self.rate_hz)) / self.rate_hz
+        motion = _walk_about(rng, dressed, self.seconds + 2)
+        late = self.out_of_step_s or (0.0,) * len(rig.cameras)
+        # Posing somebody dressed takes longer than drawing them: cameras in step share it.
+        moving = {each: pose_sequence(dressed, motion(times_s + each + 0.5)) for each in {0.0, *late}}
+        rooms = [render_room(_ROOM, camera) if self.room else None for camera in rig.cameras]
+        unplaced = Rig(tuple(dataclasses.replace(camera, world_from_camera=np.eye(4)) for camera in rig.cameras))
+        with RecordingWriter(path, unplaced) as writer:
+            for time_s in times_s:
+                posed = {each: next(poses) for each, poses in moving.items()}
+                frames = {}
+                for camera, preset, each, room_m in zip(rig.cameras, presets, late, rooms, strict=True):
+                    drawn = render_person(posed[each], camera, room_m)
+                    depth_m = sense(drawn.depth_m, drawn.material, camera, preset.model, rng)
+                    frames[camera.name] = np.round(depth_m / camera.depth_unit_m).astype(np.uint16)
+                writer.write(round(float(time_s) * 1e9), frames, posed[0.0].joints)
+        return rig
+
+
+def _mount(rng: np.random.Generator, azimuth_deg: float) -> Float[ndarray, "4 4"]:
+    """A camera on its stand, which looks at the middle of the room, neither exactly nor exactly upright."""
+    azimuth, reach = np.deg2rad(azimuth_deg), rng.uniform(2.4, 2.7)
+    eye = np.array([reach * np.sin(azimuth), -reach * np.cos(azimuth), rng.uniform(1.0, 2.2)])
+    return look_at(eye, np.array([*rng.uniform(-0.1, 0.1, 2), 0.95]), rng.normal(0, 0.03))
+
+
+def _walk_about(rng: np.random.Generator, dressed: DressedBody, seconds: float):
+    """The motion at any times: from place to place, turning and standing, the arms never still."""
+    stops, walked_s = [Stop(0.3, 0.5)], 0.0
+    while walked_s < seconds:
+        x, y = rng.uniform(-_REACH_M, _REACH_M, 2)
+        walked_s += float(np.hypot(x - stops[-1].x, y - stops[-1].y)) / _SPEED_MPS + _STAND_S
+        stops.append(Stop(float(x), float(y), _STAND_S))
+    fine_s = np.arange(0, seconds, 0.02)
+    bones = [POSTURE_INDEX[f"{bone}.{side}"] for bone in ("upper_arm", "forearm") for side in "RL"]
+    wave = gaussian_filter1d(rng.normal(size=(len(fine_s), len(bones), 3)), _WAVE_S / 0.02, axis=0)
+    wave *= _WAVE_RAD / wave.std(0)
+    wave[:, 2:] *= 0.5  # elbows less
+
+    def motion(times_s: Float[ndarray, " n"]) -> Motion:
+        walk = stroll(dressed, stops, 0.5, _SPEED_MPS, times_s)
+        postures = walk.postures.copy()
+        for k, bone in enumerate(bones):
+            turn = np.stack([np.interp(times_s, fine_s, axis) for axis in wave[:, k].T], 1)
+            postures[:, bone] = (Rotation.from_rotvec(turn) * Rotation.from_rotvec(postures[:, bone])).as_rotvec()
+        return Motion(walk.times_s, postures, walk.offsets)
+
+    return motion

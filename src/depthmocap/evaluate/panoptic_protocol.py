@@ -1,0 +1,68 @@
+"""``depthmocap evaluate panoptic``: joints from several Kinect 2 against those of CMU Panoptic's dome.
+
+No protocol is agreed on for its Kinects. Our joints are compared as they are; or the pose stage is fitted to the set's
+joints, for each sequence on all others.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.console import Console
+
+from depthmocap.classify.classifier import Classifier
+from depthmocap.core.console import Terminal
+from depthmocap.core.locks import owns
+from depthmocap.datasets.panoptic import CONFIDENCE, PanopticSet
+from depthmocap.datasets.panoptic_files import MColor
+from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
+from depthmocap.evaluate.labelled_frames import observe
+from depthmocap.evaluate.protocol import Refit, comparable, leave_one_out, measure_estimates
+from depthmocap.pose.estimators import load_estimator
+
+
+@dataclasses.dataclass(frozen=True)
+class PanopticEvaluation(Outputs):
+    """Accuracy of joints on the frames of CMU Panoptic in which exactly one person is.
+
+    Attributes:
+        root: folder of a sequence, or of several.
+        kinects: numbers (1-10) of the Kinects to take, by default all that are there.
+        refit: "none" compares our joints where they correspond; "ridge" fits the set's, each sequence by all others.
+        every: read every so-many-th frame of joints only.
+        confidence: the set's joints of less confidence are unknown.
+        m_color: whether the calibration's M_color leads from a Kinect's frame to its colour camera, or back: public
+            code does not agree.
+        weights: a classifier.onnx of your own.
+        estimator: of our joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
+    """
+
+    root: tyro.conf.Positional[Path]
+    kinects: tuple[int, ...] = ()
+    refit: Refit = "none"
+    every: int = 1
+    confidence: float = CONFIDENCE
+    m_color: MColor = "to-colour"
+    weights: Path | None = None
+    estimator: str = "votes"
+
+
+@owns(files=FILES)
+def evaluate_panoptic(settings: PanopticEvaluation, console: Console | None = None) -> dict[str, Any]:
+    """Run the evaluation; returns the numbers by name. Frames are independent, nothing is smoothed.
+
+    Raises:
+        InputError: when no frame can be evaluated, or there is nothing to fit to.
+    """
+    console = console or Terminal(stderr=True)
+    source = PanopticSet(settings.root, settings.kinects, settings.every, settings.confidence, settings.m_color)
+    classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)
+    found = comparable(observe(source, estimator, classifier, 1, console), settings.refit)
+    estimates = leave_one_out(found, found.subjects, settings.refit)
+    results = {source.name: {"about": about(settings), **measure_estimates(found, estimates)}}
+    write_outputs(settings, source.name, results)
+    print_results(source.name, results, console)
+    return results

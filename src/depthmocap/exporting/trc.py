@@ -1,0 +1,85 @@
+"""OpenSim's TRC marker files: the joints as markers, millimetres, Y up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.core.output import write_file
+from depthmocap.core.reading.input_files import read_text
+from depthmocap.errors import InputError
+from depthmocap.exporting.timeline import LEAST_CONFIDENCE, Y_UP_FROM_Z_UP, timeline
+from depthmocap.frames import Pose
+
+_KEYS = (
+    "DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames",
+)  # fmt: skip
+_HEADER_LINES = 5
+#: Numbers beyond this are none of a skeleton.
+_LARGEST = 1e12
+
+
+def write_trc(
+    path: Path,
+    poses: Sequence[Pose],
+    up: str,
+    least_confidence: float = LEAST_CONFIDENCE,
+    origin_ns: int | None = None,
+) -> None:
+    """Write poses whose world has the up axis ``up`` ("z", "y" or "-y").
+
+    Times are the poses' own, from ``origin_ns`` on their clock (by default the first pose is at 0); the rates in the
+    header come from their typical interval. A marker that is missing, or whose confidence is below
+    ``least_confidence``, is three empty cells, which OpenSim reads as NaN.
+
+    Raises:
+        InputError: when there is no pose, none shows a person, timestamps do not increase, or the file cannot be
+            written.
+    """
+    line = timeline(poses, up, least_confidence, origin_ns)
+    rate = f"{1 / line.frame_s:.6g}"
+    count = str(len(poses))
+    values = (rate, rate, count, str(len(JOINTS)), "mm", rate, "1", count)
+    axes = [f"{axis}{i + 1}" for i in range(len(JOINTS)) for axis in "XYZ"]
+    # OpenSim ends its own lines with a tab, and counts the cells of a row whose last marker is missing by it.
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
+        "\t".join(_KEYS),
+        "\t".join(values),
+        "Frame#\tTime\t" + "".join(f"{joint}\t\t\t" for joint in JOINTS),
+        "\t\t" + "".join(f"{axis}\t" for axis in axes),
+        "",
+    ]
+    for i, (time_s, joints_mm) in enumerate(zip(line.times_s, line.joints_y_up * 1000, strict=True)):
+        cells = ["" if np.isnan(value) else f"{value:.3f}" for value in joints_mm.ravel()]
+        lines.append("\t".join([str(i + 1), f"{time_s:.6f}", *cells, ""]))
+    write_file(path, "\n".join(lines) + "\n")
+
+
+def read_trc(path: Path) -> tuple[Float[ndarray, " t"], Float[ndarray, "t 18 3"]]:
+    """Times (s) and joints (m, Z up, NaN where missing) of a file that ``write_trc`` wrote.
+
+    Raises:
+        InputError: when the file is missing, or is not such a file.
+    """
+    lines = read_text(path).split("\n")
+    if not lines[0].startswith("PathFileType\t4") or len(lines) < _HEADER_LINES:
+        raise InputError(f"{path} is not a TRC file")
+    header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+    names = tuple(cell for cell in lines[3].rstrip("\r").split("\t")[2:] if cell)
+    if names != JOINTS or header.get("Units") != "mm":
+        raise InputError(f"{path} was not written by depthmocap: its markers must be {', '.join(JOINTS)}, in mm")
+    width = 2 + 3 * len(JOINTS)
+    try:
+        rows = [line.rstrip("\r").split("\t")[:width] for line in lines[_HEADER_LINES:] if line.strip()]
+        table = np.array([[float(cell or "nan") for cell in row] for row in rows]).reshape(-1, width)
+        if (np.abs(table) > _LARGEST).any():
+            raise ValueError("it has a number that no length or time can be")
+    except ValueError as error:
+        raise InputError(f"{path} has a row that cannot be read: {error}") from None
+    return table[:, 1], table[:, 2:].reshape(-1, len(JOINTS), 3) / 1000 @ Y_UP_FROM_Z_UP

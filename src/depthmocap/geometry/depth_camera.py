@@ -1,0 +1,310 @@
+"""Depth cameras and rigs, and the ``rig.json`` file that describes them."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt16
+from numpy import ndarray
+
+from depthmocap.core.names import check_camera_name
+from depthmocap.core.output import write_file
+from depthmocap.core.reading.image_files import check_picture_size
+from depthmocap.core.reading.json_text import array, number, read_json, whole_number
+from depthmocap.errors import InputError
+from depthmocap.geometry.transforms import is_rigid, rigid_inverse, transform_points
+
+#: No two cameras that see one person are this far apart (metres).
+FURTHEST_M = 100.0
+#: No camera is further from the world's origin (metres).
+_OUTERMOST_M = 1e6
+#: Focal lengths, principal points and lengths of a depth unit that are none of any depth camera lie outside.
+_FOCAL_PX, _CENTRE_PX, _UNIT_M = (1.0, 1e6, "pixels"), (-1e6, 1e6, "pixels"), (1e-7, 1.0, "metres")
+#: Share of the picture in which a lens can be undone: a half is that of the widest mode of an Azure Kinect.
+_LEAST_UNDONE = 0.3
+#: Columns and rows at which a lens model is tried.
+_GRID = 64
+#: A camera is no more than so far (the sine) from looking straight up or down where its picture has no upright.
+_STEEP = 0.35
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DepthCamera:
+    """A calibrated depth camera. Camera frame: x right, y down, z forward; an integer pixel is its centre.
+
+    ``distortion`` is OpenCV's (k1, k2, p1, p2, k3). ``depth_unit_m`` is the length of one raw depth unit.
+    """
+
+    name: str
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    world_from_camera: Float[ndarray, "4 4"] = dataclasses.field(default_factory=lambda: np.eye(4))
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    depth_unit_m: float = 0.001
+
+    def __post_init__(self) -> None:
+        """Raises InputError when the name cannot be a camera's."""
+        check_camera_name(self.name)
+
+    @property
+    def matrix(self) -> Float[ndarray, "3 3"]:
+        """The 3×3 intrinsic matrix."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    @property
+    def camera_from_world(self) -> Float[ndarray, "4 4"]:
+        """Inverse of ``world_from_camera``."""
+        return rigid_inverse(self.world_from_camera)
+
+    @functools.cached_property
+    def rays(self) -> Float[ndarray, "h w 2"]:
+        """x/z and y/z of every pixel's ray, lens distortion removed (float32).
+
+        NaN where the lens model cannot be inverted within a pixel: corners beyond the calibrated field.
+        """
+        u, v = np.meshgrid(np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64))
+        if any(self.distortion):
+            rays = self.undistorted(np.stack([u, v], -1).reshape(-1, 2))
+            return rays.reshape(self.height, self.width, 2).astype(np.float32)
+        return np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy], -1).astype(np.float32)
+
+    def undistorted(self, pixels: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
+        """x/z and y/z of the rays through places (u, v), lens distortion removed; NaN where the lens model cannot be
+        inverted within a pixel."""
+        rays = self.rays_through(pixels)
+        off = np.abs(self._pixels_of(rays) - pixels).max(-1)
+        return np.where((off < 1.0)[..., None], rays, np.nan)
+
+    def rays_through(self, pixels: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
+        """x/z and y/z of the rays through any places (u, v) of the picture, lens distortion removed."""
+        if any(self.distortion) and len(pixels):
+            return cv2.undistortPoints(pixels[:, None], self.matrix, np.array(self.distortion))[:, 0]
+        return (pixels - [self.cx, self.cy]) / [self.fx, self.fy]
+
+    def unproject(
+        self, depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"] | None = None
+    ) -> Float[ndarray, "n 3"]:
+        """Camera-frame points of the masked pixels with valid depth, in row-major order."""
+        valid = (depth_m > 0) & np.isfinite(self.rays[..., 0])
+        if mask is not None:
+            valid &= mask
+        z = depth_m[valid].astype(np.float32)
+        return np.concatenate([self.rays[valid] * z[:, None], z[:, None]], 1)
+
+    def project(self, points_world: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3"]:
+        """Pixel u, v and depth z (metres) of world points. Points at or behind the camera get NaN pixels."""
+        points_camera = transform_points(self.camera_from_world, points_world.astype(np.float64))
+        z = points_camera[..., 2]
+        in_front = np.where(z > 0, z, np.nan)
+        rays = points_camera[..., :2] / in_front[..., None]
+        return np.concatenate([self._pixels_of(rays), z[..., None]], -1)
+
+    def nearest_pixels(self, points_world: Float[ndarray, "n 3"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
+        """Row and column of the pixel that shows each point; -1 or just beyond the picture where none does."""
+        pixels = np.nan_to_num(self.project(points_world)[:, :2], nan=-1)
+        # What is far outside has no number of a pixel.
+        column, row = np.rint(np.clip(pixels, -1, [self.width, self.height])).astype(np.int64).T
+        return row, column
+
+    def _pixels_of(self, rays: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
+        """Pixels of rays (x/z, y/z), by OpenCV's lens model."""
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = rays[..., 0], rays[..., 1]
+        with np.errstate(over="ignore", invalid="ignore"):  # beside any picture
+            r2 = x * x + y * y
+            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            x_d = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+            y_d = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        return np.stack([x_d * self.fx + self.cx, y_d * self.fy + self.cy], -1)
+
+    def turned(self, quarters: int) -> DepthCamera:
+        """The camera whose picture is this one's turned anticlockwise by so many quarters, as ``np.rot90`` turns it."""
+        camera = self
+        for _ in range(quarters % 4):
+            # (x, y) becomes (y, −x): the new picture's right is the old one's down.
+            pose = camera.world_from_camera.copy()
+            pose[:3, 0], pose[:3, 1] = camera.world_from_camera[:3, 1], -camera.world_from_camera[:3, 0]
+            k1, k2, p1, p2, k3 = camera.distortion
+            camera = dataclasses.replace(
+                camera, width=camera.height, height=camera.width, fx=camera.fy, fy=camera.fx,
+                cx=camera.cy, cy=camera.width - 1 - camera.cx, world_from_camera=pose,
+                distortion=(k1, k2, -p2, p1, k3),
+            )  # fmt: skip
+        return camera
+
+    def quarters_upright(self, up_world: Float[ndarray, "3"]) -> int:
+        """By how many quarters anticlockwise (see :meth:`turned`) the picture is to be turned so that what is up in the
+        world is about up in it; 0 of a camera that looks nearly straight up or down, and of one whose pose is the
+        identity, which nobody has told."""
+        right, down, _ = self.world_from_camera[:3, :3].T @ up_world
+        if np.hypot(right, down) < _STEEP or np.array_equal(self.world_from_camera, np.eye(4)):
+            return 0
+        # An up that points right in the picture is put right by a quarter anticlockwise.
+        return round(float(np.arctan2(right, -down)) / (np.pi / 2)) % 4
+
+    def to_metres(self, raw: UInt16[ndarray, "h w"]) -> Float[ndarray, "h w"]:
+        """Raw sensor depth in metres (float32). Raw 0 stays 0, invalid; so does the saturated 65535."""
+        return np.where(raw == 65535, 0, raw).astype(np.float32) * np.float32(self.depth_unit_m)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rig:
+    """Cameras in one world, whose up axis is ``"z"``, ``"y"`` or ``"-y"``."""
+
+    cameras: tuple[DepthCamera, ...]
+    up: str = "z"
+
+    def __getitem__(self, name: str) -> DepthCamera:
+        for camera in self.cameras:
+            if camera.name == name:
+                return camera
+        raise KeyError(name)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Camera names in order."""
+        return tuple(camera.name for camera in self.cameras)
+
+
+def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
+    where = f"{path}: camera {index}"
+    if not isinstance(entry, dict):
+        raise InputError(f"{where} must be an object with name, width, height, fx, fy, cx, cy")
+    where = f"{path}: camera {entry.get('name', index)!r}"
+    required = ("name", "width", "height", "fx", "fy", "cx", "cy")
+    if absent := [key for key in required if key not in entry]:
+        raise InputError(f"{where} lacks {', '.join(absent)}")
+    width, height = (whole_number(entry[key], f"{where}: {key}") for key in ("width", "height"))
+    numbers = {key: number(entry[key], f"{where}: {key}") for key in ("fx", "fy", "cx", "cy")}
+    unit = number(entry.get("depth_unit_m", 0.001), f"{where}: depth_unit_m")
+    distortion = array(entry.get("distortion", [0.0] * 5), (5,), f"{where}: distortion [k1, k2, p1, p2, k3]").tolist()
+    pose = array(entry.get("world_from_camera", np.eye(4).tolist()), (4, 4), f"{where}: world_from_camera")
+    k1, k2, p1, p2, k3 = distortion
+    name = str(entry["name"]) if type(entry["name"]) is int else entry["name"]
+    try:
+        check_camera_name(name)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    camera = DepthCamera(
+        name, width, height, **numbers, world_from_camera=pose,
+        distortion=(k1, k2, p1, p2, k3), depth_unit_m=unit,
+    )  # fmt: skip
+    check_camera(camera, where)
+    return camera
+
+
+def check_camera(camera: DepthCamera, where: str) -> None:
+    """See that what a file or a device tells of a camera can be.
+
+    Args:
+        where: it is told, for the message.
+
+    Raises:
+        InputError: when the picture is none or too large, a number is not finite or can be none of a depth camera, the
+            lens can be undone in little of the picture, or the pose is not rigid.
+    """
+    check_picture_size(camera.width, camera.height, f"{where}: the picture")
+    bounds = {"fx": _FOCAL_PX, "fy": _FOCAL_PX, "cx": _CENTRE_PX, "cy": _CENTRE_PX, "depth_unit_m": _UNIT_M}
+    for key, (least, most, unit) in bounds.items():
+        if not least <= getattr(camera, key) <= most:
+            raise InputError(f"{where}: {key} must be {least:g} to {most:g} {unit}, got {getattr(camera, key):g}")
+    if not np.isfinite(camera.distortion).all():
+        raise InputError(f"{where}: distortion must be finite numbers, got {list(camera.distortion)}")
+    if not is_rigid(camera.world_from_camera):
+        raise InputError(
+            f"{where}: world_from_camera is not a rotation and a translation "
+            "(columns of length 1 at right angles, determinant +1, last row 0 0 0 1); calibrate this camera again"
+        )
+    if (away_m := float(np.abs(camera.world_from_camera[:3, 3]).max())) > _OUTERMOST_M:
+        raise InputError(f"{where}: the place in world_from_camera is {away_m:g} m away; it must be in metres")
+    if any(camera.distortion) and (undone := _undone_share(camera)) < _LEAST_UNDONE:
+        raise InputError(
+            f"{where}: distortion {list(camera.distortion)} can be undone in {100 * undone:.0f} % of the picture only; "
+            "give OpenCV's [k1, k2, p1, p2, k3], for x/z and y/z"
+        )
+
+
+def _undone_share(camera: DepthCamera) -> float:
+    """In how much of the picture the lens model can be inverted, by a grid of its pixels."""
+    u, v = np.meshgrid(np.linspace(0, camera.width - 1, _GRID), np.linspace(0, camera.height - 1, _GRID))
+    with np.errstate(all="ignore"):
+        return float(np.isfinite(camera.undistorted(np.stack([u, v], -1).reshape(-1, 2))[:, 0]).mean())
+
+
+def check_placed(cameras: Iterable[DepthCamera]) -> None:
+    """See that nobody has left out to tell where the cameras stand.
+
+    Raises:
+        InputError: when two of them have the same pose.
+    """
+    by_pose: dict[bytes, str] = {}
+    for camera in cameras:
+        other = by_pose.setdefault(camera.world_from_camera.round(6).tobytes(), camera.name)
+        if other != camera.name:
+            raise InputError(
+                f"cameras {other!r} and {camera.name!r} have the same place: nobody has told where they stand. "
+                "Record one person who walks about, then: depthmocap calibrate RECORDING --out rig.json; "
+                "run, record and live take it by --rig"
+            )
+
+
+def load_rig(path: Path) -> Rig:
+    """Read ``rig.json``. A camera without ``world_from_camera`` is at the origin (see :func:`check_placed`).
+
+    Raises:
+        InputError: when the file is missing or malformed, a pose is not rigid, or two cameras share a name.
+    """
+    document = read_json(path, "a recording needs a rig.json that describes its cameras")
+    entries = document.get("cameras") if isinstance(document, dict) else None
+    if not isinstance(entries, list) or not entries:
+        raise InputError(f'{path} must hold {{"cameras": [...]}} with at least one camera')
+    cameras = tuple(_parse_camera(entry, path, i) for i, entry in enumerate(entries))
+    names = [camera.name for camera in cameras]
+    if len(set(names)) < len(names):
+        raise InputError(f"{path}: camera names must differ, got {names}")
+    places = np.stack([camera.world_from_camera[:3, 3] for camera in cameras])
+    if (apart_m := float(np.linalg.norm(places - places[0], axis=1).max())) > FURTHEST_M:
+        raise InputError(
+            f"{path}: two cameras are {apart_m:,.0f} m apart; the places in world_from_camera must be in metres"
+        )
+    return Rig(cameras, check_up(document.get("up", "z"), str(path)))
+
+
+def check_up(up: Any, where: str) -> str:
+    """The axis of a world that points up, if it can be.
+
+    Raises:
+        InputError: when it is another.
+    """
+    if up not in ("z", "y", "-y"):
+        raise InputError(f'{where}: up must be "z", "y" or "-y", not {up!r}')
+    return up
+
+
+def save_rig(rig: Rig, path: Path) -> None:
+    """Write ``rig.json``.
+
+    Raises:
+        InputError: when it cannot be written.
+    """
+    entries = [
+        {
+            **{key: getattr(camera, key) for key in ("name", "width", "height", "fx", "fy", "cx", "cy")},
+            "distortion": list(camera.distortion),
+            "depth_unit_m": camera.depth_unit_m,
+            "world_from_camera": camera.world_from_camera.tolist(),
+        }
+        for camera in rig.cameras
+    ]
+    write_file(path, json.dumps({"up": rig.up, "cameras": entries}, indent=1) + "\n")

@@ -1,0 +1,194 @@
+"""The pipeline: views of one instant in, the pose out, with the milliseconds of every stage.
+
+Person mask → body-part labels → labelled world cloud → joints → smoothing. Each stage is a plain function of the one
+before; replace one and keep the rest.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import time
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+from numpy import ndarray
+
+from depthmocap.classify.classifier import Classifier, Found
+from depthmocap.frames import FrameSet, Pose
+from depthmocap.pose.cloud import LabelledCloud, merge_views
+from depthmocap.pose.estimators import JointEstimator
+from depthmocap.pose.labelled_view import LabelledView
+from depthmocap.segment.people_segmenter import SeenPerson
+from depthmocap.smooth.pose_filter import FORGET_S, PoseFilter
+
+STAGES = ("segment", "label", "merge", "joints", "smooth")
+
+
+class Segmenter(Protocol):
+    """Gives the people in a set of views, the one whose pose is wanted first; see ``PeopleSegmenter``.
+
+    Attributes:
+        people: so many are given at most.
+        problems: what makes good masks unlikely, one line each.
+    """
+
+    people: int
+    problems: list[str]
+
+    def __call__(self, frames: FrameSet) -> tuple[SeenPerson, ...]: ...
+
+    def reset(self) -> None:
+        """Forget who was there."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PersonResult:
+    """One person of a frame set: their number, which stays theirs, their pose, and what it was found in."""
+
+    number: int
+    pose: Pose
+    masks: tuple[Bool[ndarray, "_ _"], ...]
+    labels: tuple[UInt8[ndarray, "_ _"], ...]
+    cloud: LabelledCloud
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Result:
+    """The pose of a frame set and everything found on the way to it.
+
+    A filter that waits for later frames makes the pose that of an earlier one: its timestamp tells which.
+
+    Attributes:
+        pose: of the person who is followed; its masks, labels and cloud come next.
+        milliseconds: by stage, of everybody together.
+        people: everybody, the one who is followed first, each with a pose that was smoothed by itself.
+        final: where several people are followed, by number the poses that became final with this set: this one's, or
+            an earlier one's where the filter waits, and what it held back of somebody who has gone.
+    """
+
+    pose: Pose
+    masks: tuple[Bool[ndarray, "_ _"], ...]
+    labels: tuple[UInt8[ndarray, "_ _"], ...]
+    cloud: LabelledCloud
+    milliseconds: dict[str, float]
+    people: tuple[PersonResult, ...] = ()
+    final: dict[int, list[Pose]] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(eq=False)
+class _Smoothed:
+    """A person's filter, how many poses it was given, and the time of the last."""
+
+    filter: PoseFilter
+    given: int = 0
+    last_ns: int = 0
+
+    def __call__(self, pose: Pose) -> Pose:
+        self.given, self.last_ns = self.given + 1, pose.timestamp_ns
+        return self.filter(pose)
+
+    @property
+    def is_final(self) -> bool:
+        """Whether what the filter gave last will not be given again."""
+        return self.given > self.filter.delay_frames
+
+
+class Pipeline:
+    """Depth views to joints. Keeps state only for following people and for smoothing; :meth:`reset` forgets it."""
+
+    def __init__(
+        self,
+        classifier: Classifier,
+        estimator: JointEstimator,
+        segment: Segmenter,
+        up: str = "z",
+        smoothing: PoseFilter | None = None,
+    ) -> None:
+        """
+        Args:
+            segment: finds the people in a set of views, e.g. a ``PeopleSegmenter``.
+            up: the world's up axis.
+            smoothing: a filter over time, of this pipeline alone (``load_filter``); None for none. Further
+                people get copies of it.
+        """
+        self._classifier, self._estimator, self.segment, self._up = classifier, estimator, segment, up
+        self.smoothing = smoothing
+        self._filters: dict[int, _Smoothed] = {}
+
+    def reset(self) -> None:
+        """Forget past poses and who was there; what is known of the empty scene is kept."""
+        self.segment.reset()
+        self._filters.clear()
+        if self.smoothing is not None:
+            self.smoothing.reset()
+
+    def finish(self) -> list[Pose]:
+        """The poses that a filter which waits has held back, at the end of a stream; forgets past poses."""
+        return [] if self.smoothing is None else self.smoothing.finish()
+
+    def finish_people(self) -> dict[int, list[Pose]]:
+        """The same of everybody, by their numbers, where several people are followed."""
+        held = {number: own.filter.finish() for number, own in self._filters.items()}
+        self._filters.clear()
+        return held
+
+    def __call__(self, frames: FrameSet) -> Result:
+        """Process one frame set. Without a person (or a view) the joints are NaN and their confidence 0."""
+        clock = [time.perf_counter()]
+        seen = self.segment(frames)
+        nobody = tuple(np.zeros(view.depth_m.shape, np.bool_) for view in frames.views)
+        # Somebody is looked for even where nobody is, so that every set has a pose.
+        all_masks = [person.masks for person in seen] or [nobody]
+        clock.append(time.perf_counter())
+        views = frames.views * len(all_masks)
+        found = self._classifier.label_views(views, [mask for masks in all_masks for mask in masks], self._up)
+        clock.append(time.perf_counter())
+        count = len(frames.views)
+        labelled = [found[i * count : (i + 1) * count] for i in range(len(all_masks))]
+        clouds = [self._merge(frames, own) for own in labelled]
+        clock.append(time.perf_counter())
+        raw = [Pose(frames.timestamp_ns, *self._estimator(cloud, self._up)) for cloud in clouds]
+        clock.append(time.perf_counter())
+        followed = raw[0] if self.smoothing is None else self.smoothing(raw[0])
+        final = self._gone(frames.timestamp_ns)
+        poses = [self._smooth(person.number, pose, followed, final) for person, pose in zip(seen, raw, strict=False)]
+        clock.append(time.perf_counter())
+        all_labels = [tuple(each.labels for each in own) for own in labelled]
+        people = [
+            PersonResult(person.number, poses[i], person.masks, all_labels[i], clouds[i])
+            for i, person in enumerate(seen)
+        ]
+        return Result(
+            followed, all_masks[0], all_labels[0], clouds[0],
+            dict(zip(STAGES, (np.diff(clock) * 1e3).tolist(), strict=True)),
+            tuple(people), final,
+        )  # fmt: skip
+
+    def _merge(self, frames: FrameSet, found: list[Found]) -> LabelledCloud:
+        return merge_views([LabelledView(view, *each) for view, each in zip(frames.views, found, strict=True)])
+
+    def _gone(self, now_ns: int) -> dict[int, list[Pose]]:
+        """What filters held back of people whom they forget, by number; a filter begins anew when somebody returns."""
+        gone = [number for number, own in self._filters.items() if not 0 <= now_ns - own.last_ns <= FORGET_S * 1e9]
+        return {number: self._filters.pop(number).filter.finish() for number in gone}
+
+    def _smooth(self, number: int, pose: Pose, followed: Pose, final: dict[int, list[Pose]]) -> Pose:
+        """A person's pose by a filter of their own, and into ``final`` what is; where one person is followed at most,
+        that is the pipeline's."""
+        if self.segment.people == 1:
+            return followed
+        if self.smoothing is None:
+            final[number] = [pose]
+            return pose
+        if number not in self._filters:
+            own = copy.deepcopy(self.smoothing)
+            own.reset()
+            self._filters[number] = _Smoothed(own)
+        own = self._filters[number]
+        smoothed = own(pose)
+        if own.is_final:
+            final.setdefault(number, []).append(smoothed)
+        return smoothed

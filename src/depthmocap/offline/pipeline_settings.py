@@ -1,0 +1,99 @@
+"""What all that makes poses has in common: one set of options, and the pipeline that follows from it."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from depthmocap.classify.classifier import Classifier
+from depthmocap.errors import InputError
+from depthmocap.frames import FrameSource
+from depthmocap.geometry import check_placed, load_rig
+from depthmocap.offline.pipeline import Pipeline
+from depthmocap.pose.estimators import load_estimator
+from depthmocap.recordings.folder import Recording
+from depthmocap.recordings.open_recording import open_recording
+from depthmocap.segment.people_segmenter import Mode, PeopleSegmenter
+from depthmocap.smooth.filters import AUTO, Bones, Smoothing, load_filter
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PipelineSettings:
+    """How people are found and their poses estimated and smoothed.
+
+    Attributes:
+        segment: "auto" finds the person in a static scene; "none" takes every valid pixel.
+        people: follow up to so many.
+        smooth: a filter over time. "average" is the paper's weighted average of the last frames, "fixed-lag" waits for
+            later ones; "auto" is "kalman" for recordings and cameras, and "none" for sets of pictures that do not
+            follow each other, such as UBC3V's sections.
+        lag_frames: that "fixed-lag" waits for.
+        bridge_s: how long "kalman" and "fixed-lag" go on with a joint that is missing (s); 0 leaves gaps.
+        bones: "steady" gives bones constant lengths, learnt on the run; "free" leaves them as estimated, as does
+            "none" for --smooth.
+        weights: a classifier.onnx of your own.
+        estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
+    """
+
+    segment: Mode = "auto"
+    people: int = 1
+    smooth: Smoothing = "auto"
+    lag_frames: int = 4
+    bridge_s: float = 0.0
+    bones: Bones = "steady"
+    weights: Path | None = None
+    estimator: str = "votes"
+
+
+def open_source(path: Path | str, rig: Path | None = None) -> FrameSource:
+    """A recording folder, an MCAP file or a UBC3V section, told apart by what they hold and by the name. ``rig`` is a
+    rig.json that tells where the cameras of a recording stand, instead of what it says.
+
+    Raises:
+        InputError: when the path is neither, or the rig is not one of its cameras.
+    """
+    path = Path(path)
+    if (path / "images" / "depthRender").is_dir() or (path / "groundtruth.mat").is_file():
+        from depthmocap.datasets.ubc3v import Section
+
+        if rig is not None:
+            raise InputError("--rig is for recordings: a section of UBC3V tells its cameras' places frame by frame")
+        return Section(path)
+    return open_recording(path, None if rig is None else load_rig(rig))
+
+
+def load_pipeline(
+    source: FrameSource | Path | str, settings: PipelineSettings | None = None, **changes: Any
+) -> Pipeline:
+    """The pipeline for a source, its background learnt.
+
+    Args:
+        settings: by default the usual ones, with the packaged weights; settings of a command that has them will do.
+        changes: single settings that differ, as in ``load_pipeline("recording", people=2)``.
+
+    Raises:
+        InputError: when the recording or the weights cannot be read, or settings do not fit each other.
+    """
+    settings = settings or PipelineSettings()
+    if unknown := changes.keys() - {field.name for field in dataclasses.fields(PipelineSettings)}:
+        raise InputError(f"the pipeline has no setting {min(unknown)!r}")
+    settings = dataclasses.replace(settings, **changes)
+    source = open_source(source) if isinstance(source, Path | str) else source
+    if isinstance(source, Recording):
+        check_placed(source.rig.cameras)
+    smooth = settings.smooth
+    if smooth == "auto":
+        smooth = AUTO if source.continuous else "none"
+    if smooth == "none" and settings.bridge_s:
+        raise InputError("gaps are bridged by the filters kalman and fixed-lag, not without one")
+    smoothing = None
+    if smooth != "none":
+        smoothing = load_filter(smooth, settings.lag_frames, settings.bridge_s, settings.bones)
+    return Pipeline(
+        Classifier(settings.weights),
+        load_estimator(settings.estimator),
+        PeopleSegmenter.from_recording(source, settings.segment, settings.people),
+        source.up,
+        smoothing,
+    )

@@ -1,0 +1,218 @@
+"""``depthmocap run``: a recording in, a folder of skeletons, measurements and pictures out."""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import dataclasses
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from jaxtyping import Float
+from numpy import ndarray
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.core.console import Terminal
+from depthmocap.core.interrupts import finishing
+from depthmocap.core.locks import owns
+from depthmocap.errors import InputError
+from depthmocap.exporting.result_files import NOBODY, PeopleFiles, PoseFiles, remove_results
+from depthmocap.exporting.run_result import RunResult
+from depthmocap.exporting.summary import Quantiles, Summary, Take, count_problems, problem_lines, unsure_lines
+from depthmocap.exporting.timeline import LEAST_CONFIDENCE
+from depthmocap.frames import FrameSet, FrameSource, Pose
+from depthmocap.offline.pipeline import STAGES, Result
+from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline, open_source
+from depthmocap.offline.run_report import Pictures, write_run_report
+from depthmocap.pose.extrinsics_check import Agreement
+from depthmocap.recordings.folder import Recording
+from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
+from depthmocap.segment.people_segmenter import Mode
+from depthmocap.text import cameras, joined
+
+
+@dataclasses.dataclass(frozen=True)
+class RunSettings(PipelineSettings):
+    """Motion capture of a recording.
+
+    Where several people are followed, each has a folder ``person-N`` besides, and the files of ``out`` are of the one
+    who was followed first.
+
+    Attributes:
+        recording: a recording folder (rig.json and 16-bit PNGs per camera), an MCAP file or a section of UBC3V.
+        rig: a rig.json that tells where the cameras stand, such as ``depthmocap calibrate`` writes, instead of what the
+            recording says.
+        out: folder for pose.csv, pose.trc, pose.bvh, summary.json and report.html.
+        least_confidence: joints below it are gaps in pose.trc and are held in pose.bvh; pose.csv has all.
+        report: draw report.html and the animated preview.
+    """
+
+    recording: tyro.conf.Positional[Path]
+    out: Path
+    rig: Path | None = None
+    least_confidence: float = LEAST_CONFIDENCE
+    report: bool = True
+
+
+@owns(folder="out")
+def run(settings: RunSettings, console: Console | None = None) -> RunResult:
+    """Process a recording and write everything. Ctrl-C keeps what was done until then.
+
+    Raises:
+        InputError: when the recording cannot be read, or no frame of it shows a person.
+    """
+    with contextlib.ExitStack() as last:
+        return RunResult(settings.out, _run(settings, console or Terminal(stderr=True), last))
+
+
+def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) -> Summary:
+    source = open_source(settings.recording, settings.rig)
+    take = Take("run", [settings.recording], source.up, settings.least_confidence)
+    with console.status("reading the background and the weights"):
+        pipeline = load_pipeline(source, settings)
+        # The first frame ever compiles the inner loops, which would be taken for the machine's speed.
+        for frames in source:
+            pipeline(frames)
+            break
+        pipeline.reset()
+    pictures = Pictures(len(source), source.up) if settings.report else None
+
+    rows: list[tuple[Pose, Float[ndarray, "18 3"], dict[str, float]]] = []
+    delivered: dict[str, int] = dict.fromkeys(source.rig.names, 0) if isinstance(source, Recording) else {}
+    by_person: collections.Counter[str] = collections.Counter()
+    interrupted = False
+    agreement = Agreement()
+    misplaced: list[str] = []
+    # Frames whose pose a filter that waits has not given yet.
+    waiting: collections.deque[tuple[FrameSet, Result, dict[str, float]]] = collections.deque()
+    delay = pipeline.smoothing.delay_frames if pipeline.smoothing else 0
+    columns = (
+        TextColumn("capturing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        TextColumn("{task.fields[rate]}"),
+    )  # fmt: skip
+    remove_results(settings.out)
+    files, everybody = PoseFiles(settings.out, take), PeopleFiles(settings.out, take)
+    with files, everybody, Progress(*columns, console=console) as progress:
+        task = progress.add_task("capturing", total=len(source), rate="")
+        recent_ms: collections.deque[float] = collections.deque(maxlen=30)
+
+        def finished(pose: Pose) -> None:
+            with finishing():
+                frames, result, milliseconds = waiting.popleft()
+                files.write(pose)
+                truth = frames.true_joints if frames.true_joints is not None else np.full((len(JOINTS), 3), np.nan)
+                rows.append((pose, truth, milliseconds))
+                if pictures is not None:
+                    pictures.add(frames, dataclasses.replace(result, pose=pose))
+
+        try:
+            before = time.perf_counter()
+            for frames in source:
+                read_ms = (time.perf_counter() - before) * 1e3
+                take.begin(frames.timestamp_ns)
+                result = pipeline(frames)
+                waiting.append((frames, result, {"read": read_ms, **result.milliseconds}))
+                misplaced += agreement(result.cloud)
+                by_person.update(str(person.number) for person in result.people)
+                if settings.people > 1:
+                    everybody.write(result.final)
+                if len(waiting) > delay:
+                    finished(result.pose)
+                for view in frames.views:
+                    delivered[view.camera.name] = delivered.get(view.camera.name, 0) + 1
+                recent_ms.append(read_ms + sum(result.milliseconds.values()))
+                progress.update(task, advance=1, rate=f"{1e3 / np.mean(recent_ms):.0f} frames/s")
+                before = time.perf_counter()
+        except KeyboardInterrupt:
+            interrupted = True
+        last.enter_context(finishing())
+        if interrupted:
+            console.print(f"stopped after {len(rows)} of {len(source)} frames; writing what was done")
+        everybody.write(pipeline.finish_people())
+        for pose in pipeline.finish():
+            # An interruption may have come between the filter and this list.
+            if waiting and waiting[0][0].timestamp_ns == pose.timestamp_ns:
+                finished(pose)
+        misplaced += agreement.finish()
+        files.numbers = {
+            **_numbers([row[2] for row in rows], delivered),
+            "interrupted": interrupted,
+            "smoothing": pipeline.smoothing.describe() if pipeline.smoothing else None,
+            "frames_by_person": dict(by_person),
+            "cameras_apart_cm": {name: 100 * apart_m for name, apart_m in agreement.apart_m().items()},
+            "error": _error([row[0] for row in rows], [row[1] for row in rows]),
+            "problems": count_problems(
+                dict.fromkeys(misplaced),
+                source.problems,
+                pipeline.segment.problems,
+                everybody.problems,
+            ),
+        }
+    if interrupted and not rows:
+        raise KeyboardInterrupt
+    summary = files.summary
+    if summary["gaps"] == summary["frames"]:
+        others = [line for line in problem_lines(summary["problems"]) if line != NOBODY]
+        hint = joined(others) or _way_out(source, settings.segment)
+        raise InputError(f"{settings.recording}: no person was found in any of {summary['frames']} frames: {hint}")
+    if pictures is not None:
+        with console.status("drawing the report"):
+            truths, estimates = np.stack([row[1] for row in rows]), np.stack([row[0].joints for row in rows])
+            write_run_report(settings.out, summary, pictures, truths, estimates)
+    _tell(summary, settings.out, console)
+    return summary
+
+
+def _way_out(source: FrameSource, segment: Mode) -> str:
+    """What may help where nobody is found and nothing else is wrong."""
+    ways = ["see that the cameras stand where the rig says (world_from_camera is no inverse) and that its up is right"]
+    if segment == "auto" and isinstance(source, Recording):
+        unknown = [name for name in source.rig.names if source.background(name) is None]
+        ways += [f"give the empty scene of {cameras(unknown)} (background.png)"] if unknown else []
+        ways += ["try --segment none if there is no room around the person"]
+    return ", or ".join(ways)
+
+
+def _few(problems: list[str], most: int = 4) -> list[str]:
+    """The first of many problems, and how many more there are."""
+    return problems if len(problems) <= most else [*problems[:most], f"And {len(problems) - most} more of this kind."]
+
+
+def _tell(summary: Summary, out: Path, console: Console) -> None:
+    """What came of it, and what was wrong."""
+    gaps = f", {summary['gaps']} without a person" if summary["gaps"] else ""
+    console.print(f"{summary['frames']} frames{gaps}; written to {out}")
+    for problem in _few([*unsure_lines(summary), *problem_lines(summary["problems"])]):
+        console.print(f"  {problem}")
+
+
+def _numbers(times: list[dict[str, float]], delivered: dict[str, int]) -> dict[str, Any]:
+    """How long the frames took, and whose they were."""
+    per_frame = np.array([sum(row.values()) for row in times])
+    if not times:
+        return {"frames_by_camera": delivered}
+
+    def quantiles(values: Float[ndarray, " t"]) -> Quantiles:
+        return {"p50": float(np.median(values)), "p95": float(np.quantile(values, 0.95))}
+
+    return {
+        "frames_by_camera": delivered,
+        "seconds": float(per_frame.sum() / 1e3),
+        "frames_per_second": float(1e3 / per_frame.mean()),
+        "ms_per_frame": quantiles(per_frame),
+        "ms_per_stage": {stage: quantiles(np.array([row[stage] for row in times])) for stage in ("read", *STAGES)},
+    }
+
+
+def _error(poses: list[Pose], truths: list[Float[ndarray, "18 3"]]) -> dict[str, Any] | None:
+    """How far the joints are from the true ones, where these are known."""
+    if not poses or np.isnan(np.stack(truths)).all():
+        return None
+    found, true = np.stack([pose.joints for pose in poses]), np.stack(truths)
+    confidence = np.stack([pose.confidence for pose in poses])
+    return joint_numbers(joint_metrics(found, true), reliability(confidence, joint_errors_cm(found, true)))

@@ -1,0 +1,118 @@
+"""From a labelled cloud to joints in the world, with a confidence for each, by any of several estimators."""
+
+from __future__ import annotations
+
+import importlib.resources
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float64
+from numpy import ndarray
+
+from depthmocap.body.regions import REGION, REGION_COUNT
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.errors import InputError
+from depthmocap.pose.cloud import MIN_CLOUD_POINTS, LabelledCloud
+from depthmocap.pose.features import Features, cloud_features
+from depthmocap.pose.labelled_view import Labels
+from depthmocap.pose.ridge import RidgeBank
+from depthmocap.pose.votes import VotesEstimator
+
+#: Points near a joint from which more points add no confidence: a hand, half seen by a Kinect 2 at 3 m, has so many.
+FULL_POINTS = 100
+#: Confidence of a joint near which nothing was seen: its position comes from the rest of the body.
+GUESS = 0.1
+
+#: The regions around each joint.
+JOINT_REGIONS: dict[str, tuple[str, ...]] = {
+    "Head": ("forehead", "hair R", "hair L", "face R", "face L"),
+    "Neck": ("neck front", "nape", "neck back R", "neck back L"),
+    "Spine2": ("chest R", "chest L", "upper back R", "upper back L"),
+    "Spine1": ("chest R", "chest L", "upper back R", "upper back L",
+               "belly R", "belly L", "lower back R", "lower back L"),
+    "Spine": ("belly R", "belly L", "lower back R", "lower back L"),
+    "Hip": ("belly R", "belly L", "lower back R", "lower back L", "thigh R", "thigh L"),
+    "RHip": ("belly R", "lower back R", "thigh R"),
+    "RKnee": ("thigh R", "knee R", "shin R"),
+    "RFoot": ("shin R", "ankle R", "forefoot R"),
+    "LHip": ("belly L", "lower back L", "thigh L"),
+    "LKnee": ("thigh L", "knee L", "shin L"),
+    "LFoot": ("shin L", "ankle L", "forefoot L"),
+    "RShoulder": ("collar R", "shoulder front R", "shoulder back R", "upper arm R"),
+    "RElbow": ("upper arm R", "elbow R", "forearm R"),
+    "RHand": ("forearm R", "wrist R", "hand R"),
+    "LShoulder": ("collar L", "shoulder front L", "shoulder back L", "upper arm L"),
+    "LElbow": ("upper arm L", "elbow L", "forearm L"),
+    "LHand": ("forearm L", "wrist L", "hand L"),
+}  # fmt: skip
+
+
+def _near() -> Bool[ndarray, "18 43"]:
+    near = np.zeros((len(JOINTS), REGION_COUNT), bool)
+    for row, joint in zip(near, JOINTS, strict=True):
+        row[[REGION[name] - 1 for name in JOINT_REGIONS[joint]]] = True
+    return near
+
+
+_NEAR = _near()
+
+
+def joint_confidence(features: Features) -> Float64[ndarray, "18"]:
+    """Confidence 0.1–1 of each joint: a simple measure of what was seen around it, not a calibrated probability.
+
+    Over the points in the joint's regions (``JOINT_REGIONS``): their mean label probability, times their share of
+    ``FULL_POINTS`` when they are fewer; at least ``GUESS``.
+    """
+    points = _NEAR @ features.counts.astype(np.float64)
+    probability = _NEAR @ (features.counts * features.mean_weights) / np.maximum(points, 1)
+    return np.clip(probability * np.minimum(points / FULL_POINTS, 1), GUESS, 1)
+
+
+@runtime_checkable
+class JointEstimator(Protocol):
+    """Joints in the world (metres) and their confidence 0–1, from a cloud of any number of cameras.
+
+    A cloud of fewer than ``MIN_CLOUD_POINTS`` points gives NaN joints with confidence 0.
+    """
+
+    def __call__(
+        self, cloud: LabelledCloud, up: str = "z"
+    ) -> tuple[Float64[ndarray, "18 3"], Float64[ndarray, "18"]]: ...
+
+
+class RidgeEstimator:
+    """The paper's: statistics of the regions (``features``), and ridge regression from them (``ridge``)."""
+
+    def __init__(self, bank: RidgeBank) -> None:
+        self.bank = bank
+
+    def __call__(self, cloud: LabelledCloud, up: str = "z") -> tuple[Float64[ndarray, "18 3"], Float64[ndarray, "18"]]:
+        """See :class:`JointEstimator`. The regressor is that of the number of cameras that saw something.
+
+        Raises:
+            InputError: see ``cloud_features``.
+        """
+        if len(cloud) < MIN_CLOUD_POINTS:
+            return np.full((len(JOINTS), 3), np.nan), np.zeros(len(JOINTS))
+        features = cloud_features(cloud, up, self.bank.frame)
+        views = sum(size > 0 for size in cloud.view_sizes) or 1
+        joints = self.bank.predict(features.values[None], views)
+        return features.to_world(joints[0].astype(np.float64)), joint_confidence(features)
+
+
+def load_estimator(source: str | Path = "votes", labels: Labels = "network") -> JointEstimator:
+    """An estimator by name, packaged: "votes", or "ridge" (the paper's; fitted on network or on true ``labels``); or
+    one of your own, a votes.onnx or a ridge .npz that ``depthmocap train pose`` wrote.
+
+    Raises:
+        InputError: for another name, or a file that cannot be read.
+    """
+    if source == "votes" or Path(source).suffix == ".onnx":
+        return VotesEstimator(None if source == "votes" else Path(source))
+    if source == "ridge":
+        weights = importlib.resources.files("depthmocap.pose") / "weights"
+        return RidgeEstimator(RidgeBank.load(Path(str(weights / f"ridge_{labels}.npz"))))
+    if Path(source).suffix == ".npz":
+        return RidgeEstimator(RidgeBank.load(Path(source)))
+    raise InputError(f"--estimator takes votes, ridge, or a file (.onnx, .npz), not {str(source)!r}")

@@ -1,0 +1,252 @@
+"""``depthmocap convert`` and ``depthmocap recover``: recordings from one form to another, and whole again."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from jaxtyping import UInt16
+from numpy import ndarray
+from rich.console import Console
+from rich.progress import Progress
+
+from depthmocap.core.console import Terminal
+from depthmocap.core.interrupts import finishing
+from depthmocap.errors import InputError
+from depthmocap.recordings.depth_codec import Coding
+from depthmocap.recordings.folder import Recording, RecordingWriter
+from depthmocap.recordings.mcap_file import McapFile
+from depthmocap.recordings.mcap_messages import COMPRESSED_IMAGE, RAW_IMAGE
+from depthmocap.recordings.mcap_writer import McapSink, McapWriter, check_name
+from depthmocap.recordings.open_recording import open_recording
+
+#: Names that every command takes for files of other makers, so that a folder of such a name could not be read back.
+_FOREIGN = (".mkv", ".oni", ".bag")
+
+
+@dataclasses.dataclass(frozen=True)
+class ConvertSettings:
+    """Copy a recording into another form; depth, times, rig, backgrounds and true joints stay as they are.
+
+    Attributes:
+        source: a recording folder or an MCAP file.
+        out: the new recording: an MCAP file if its name ends in .mcap, else a folder.
+        coding: of the depth in MCAP. png and raw are larger, but other viewers show them.
+    """
+
+    source: tyro.conf.Positional[Path]
+    out: tyro.conf.Positional[Path]
+    coding: Coding = "delta-zstd"
+
+
+def timeline(recording: Recording) -> list[tuple[int, str]]:
+    """The frames of all cameras in order of time: timestamp (ns, the shared clock) and camera."""
+    return sorted((stamp, name) for name in recording.rig.names for stamp in recording.stamps(name))
+
+
+def convert(settings: ConvertSettings, console: Console | None = None) -> dict[str, Any]:
+    """Convert, and tell how many frames were copied.
+
+    Raises:
+        InputError: when the source is no recording, or the new one exists, cannot be written, or is named as a file of
+            another kind.
+    """
+    console = console or Terminal(stderr=True)
+    if settings.out.suffix.lower() in _FOREIGN:
+        raise InputError(f"the new recording must be a file that ends in .mcap, or a folder, got {settings.out}")
+    source = open_recording(settings.source)
+    backgrounds = {name: raw for name in source.rig.names if (raw := source.raw_background(name)) is not None}
+    lost: list[str] = []
+    frames = 0
+
+    def read(progress: Progress) -> Iterator[tuple[int, str, UInt16[ndarray, "_ _"]]]:
+        nonlocal frames
+        for stamp, name in progress.track(timeline(source), description="converting"):
+            try:
+                raw = source.raw(name, stamp)
+            except InputError as error:
+                lost.append(str(error))
+                continue
+            yield stamp, name, raw
+            frames += 1
+
+    truth = source.truth_rows()
+    with Progress(console=console) as progress:
+        if settings.out.suffix.lower() == ".mcap":
+            start_ns = timeline(source)[0][0]
+            writer = McapWriter(settings.out, source.rig, backgrounds, settings.coding, start_ns=start_ns)
+            with _whole_or_removed(writer):
+                for stamp, name, raw in read(progress):
+                    timestamp_ns, clock = source.device_time(name, stamp)
+                    writer.write(name, timestamp_ns, raw, stamp, clock)
+                for stamp, joints in truth:
+                    writer.write_truth(stamp, joints)
+        else:
+            with RecordingWriter(settings.out, source.rig, backgrounds, copy_of=settings.source) as writer:
+                for stamp, name, raw in read(progress):
+                    writer.write(stamp, {name: raw})
+                for stamp, joints in truth:
+                    writer.write(stamp, {}, joints)
+    for problem in [*source.problems, *lost]:
+        console.print(f"• {problem}")
+    console.print(f"{frames} frames of {len(source.rig.names)} cameras are in {settings.out}")
+    return {"frames": frames, "lost": len(lost), "truth_rows": len(truth)}
+
+
+@contextlib.contextmanager
+def _whole_or_removed(new: McapWriter | McapSink) -> Iterator[None]:
+    """Close a new file; one that did not become whole is removed, as what it was made of is still there.
+
+    Raises:
+        InputError: when it cannot be written.
+    """
+    try:
+        yield
+        with finishing():
+            new.close()
+            new.check()
+    except BaseException as error:
+        new.close()
+        new.path.unlink(missing_ok=True)
+        if isinstance(error, InputError) and new.fault is not None:
+            raise InputError(f"cannot write {new.path}: {new.fault.strerror}") from None
+        raise
+
+
+@dataclasses.dataclass(frozen=True)
+class RecoverSettings:
+    """Make a whole MCAP file of one that was cut off: by a kill, a full disk, a pulled plug.
+
+    Attributes:
+        source: the MCAP file; it is not changed.
+        out: the new file (.mcap).
+    """
+
+    source: tyro.conf.Positional[Path]
+    out: tyro.conf.Positional[Path]
+
+
+def recover(settings: RecoverSettings, console: Console | None = None) -> dict[str, Any]:
+    """Copy everything that can be read into a new file, message by message as it was written.
+
+    Raises:
+        InputError: when nothing is in the file, or the new one exists, cannot be written, or is not named as MCAP.
+    """
+    console = console or Terminal(stderr=True)
+    check_name("the new file", settings.out)
+    frames = damaged = 0
+    with McapFile(settings.source) as file:
+        if not file.messages:
+            raise InputError(f"{settings.source} holds no message: it was cut off before the first frame")
+        sink = McapSink(settings.out)
+        with _whole_or_removed(sink):
+            for name, entries in file.metadata.items():
+                sink.metadata(name, entries)
+            channels: dict[int, Any] = {}
+            for channel in file.channels.values():
+                schema = None
+                if channel.schema_name or channel.schema_encoding or channel.schema:
+                    schema = sink.sdk.Schema(
+                        name=channel.schema_name, encoding=channel.schema_encoding, data=channel.schema
+                    )
+                channels[channel.id] = sink.channel(channel.topic, channel.encoding, channel.metadata, schema)
+            for message in file.messages:
+                channel = file.channels[message.channel]
+                try:
+                    payload = file.payload(message)
+                except InputError:
+                    damaged += 1
+                    continue
+                channels[message.channel].log(payload, message.log_time_ns, None)
+                sink.flush()
+                is_image = channel.schema_name in (RAW_IMAGE, COMPRESSED_IMAGE)
+                frames += is_image and channel.metadata.get("kind") != "background"
+        for problem in file.problems:
+            console.print(f"• {problem}")
+        lost_bytes = 0 if file.complete else settings.source.stat().st_size - file.sound_end
+    state = "was whole already" if lost_bytes == 0 and file.complete else f"ended with {lost_bytes} bytes of no use"
+    console.print(
+        f"{frames} frames are in {settings.out}; {settings.source} {state}, {damaged} messages were damaged",
+    )
+    return {"frames": frames, "damaged": damaged, "lost_bytes": lost_bytes}
+
+
+@dataclasses.dataclass(frozen=True)
+class InfoSettings:
+    """What is in a recording.
+
+    Attributes:
+        recording: a recording folder or an MCAP file.
+    """
+
+    recording: tyro.conf.Positional[Path]
+
+
+def recording_info(recording: Recording) -> dict[str, Any]:
+    """What ``depthmocap info`` prints. Lost frames are told by gaps in a camera's own times."""
+    path = recording.path
+    files = [path] if path.is_file() else [each for each in path.rglob("*") if each.is_file()]
+    cameras = {}
+    for camera in recording.rig.cameras:
+        stamps = np.array(recording.stamps(camera.name), np.int64)
+        steps = np.diff(stamps)
+        period = float(np.median(steps)) if len(steps) else float("nan")
+        cameras[camera.name] = {
+            "size": [camera.width, camera.height],
+            "depth_unit_m": camera.depth_unit_m,
+            "frames": len(stamps),
+            "frames_per_second": 1e9 / period if period > 0 else None,
+            "lost": int(np.maximum(np.rint(steps / period) - 1, 0).sum()) if period > 0 else 0,
+            "clock": recording.device_time(camera.name, int(stamps[0]))[1] if len(stamps) else None,
+            "background": recording.raw_background(camera.name) is not None,
+        }
+    stored = sum(each.stat().st_size for each in files)
+    raw = sum(2 * c["size"][0] * c["size"][1] * c["frames"] for c in cameras.values())
+    first, last = timeline(recording)[0][0], timeline(recording)[-1][0]
+    return {
+        "recording": str(path),
+        "complete": recording.complete,
+        "up": recording.up,
+        "sets": len(recording),
+        "seconds": (last - first) / 1e9,
+        "megabytes": stored / 1e6,
+        "compression": raw / stored,
+        "true_joints": len(recording.truth_rows()),
+        "cameras": cameras,
+        "problems": recording.problems,
+    }
+
+
+def info(settings: InfoSettings, console: Console | None = None) -> dict[str, Any]:
+    """Print what is in a recording.
+
+    Raises:
+        InputError: when it is none.
+    """
+    from rich.table import Table
+
+    console = console or Terminal()
+    found = recording_info(open_recording(settings.recording))
+    table = Table(title=found["recording"], title_justify="left")
+    for column in ("camera", "size", "frames", "a second", "lost", "depth unit", "clock", "background"):
+        table.add_column(column)
+    for name, camera in found["cameras"].items():
+        rate = camera["frames_per_second"]
+        table.add_row(
+            name, "×".join(map(str, camera["size"])), str(camera["frames"]), "" if rate is None else f"{rate:.2f}",
+            str(camera["lost"]), f"{camera['depth_unit_m'] * 1e3:g} mm", camera["clock"] or "",
+            "yes" if camera["background"] else "no",
+        )  # fmt: skip
+    console.print(table)
+    console.print(
+        f"{found['sets']} sets in {found['seconds']:.1f} s, {found['megabytes']:.1f} MB, "
+        f"{found['compression']:.2f}:1, up is {found['up']}, {found['true_joints']} true poses"
+    )
+    for problem in found["problems"]:
+        console.print(f"• {problem}")
+    return found

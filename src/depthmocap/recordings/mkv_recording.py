@@ -1,0 +1,229 @@
+"""An MKV file of the Azure Kinect's recorder (``k4arecorder``, also with Femto cameras), read like a recording folder.
+
+The SDK is not needed: the depth in these files is not compressed, and the factory's calibration is attached. The format
+is Matroska's (RFC 8794 and 9559) with the tags and tracks that the SDK's documentation lists.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import mmap
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int, UInt16
+from numpy import ndarray
+
+from depthmocap.cameras.lens import five_coefficients
+from depthmocap.cameras.sdk import checked
+from depthmocap.core.names import safe_name
+from depthmocap.core.reading.input_files import open_file
+from depthmocap.core.reading.json_text import parse_json
+from depthmocap.errors import InputError
+from depthmocap.geometry import DepthCamera, Rig
+from depthmocap.recordings.folder import Recording
+
+#: Matroska's elements that hold others. They are walked through as if what is in them stood in a row, so that the sizes
+#: that a killed recorder did not write do not matter.
+_SEGMENT, _CLUSTER, _GROUP, _TRACKS, _TRACK, _VIDEO = 0x18538067, 0x1F43B675, 0xA0, 0x1654AE6B, 0xAE, 0xE0
+_INFO, _ATTACHMENTS, _ATTACHED, _TAGS, _TAG, _SIMPLE_TAG = 0x1549A966, 0x1941A469, 0x61A7, 0x1254C367, 0x7373, 0x67C8
+_HOLDERS = {
+    _SEGMENT, _CLUSTER, _GROUP, _TRACKS, _TRACK, _VIDEO, _INFO, _ATTACHMENTS, _ATTACHED, _TAGS, _TAG, _SIMPLE_TAG
+}  # fmt: skip
+_HEADER, _SCALE, _CLUSTER_TIME, _SIMPLE_BLOCK, _BLOCK = 0x1A45DFA3, 0x2AD7B1, 0xE7, 0xA3, 0xA1
+_NUMBER, _NAME, _PRIVATE, _WIDTH, _HEIGHT = 0xD7, 0x536E, 0x63A2, 0xB0, 0xBA
+_FILE_NAME, _FILE_DATA, _TAG_NAME, _TAG_TEXT = 0x466E, 0x465C, 0x45A3, 0x4487
+#: 16 bits a pixel, the high byte first.
+_FOURCC = b"b16g"
+#: The recorder gives millimetres.
+_UNIT_M = 0.001
+
+
+@dataclasses.dataclass(frozen=True)
+class _Mode:
+    """What a depth mode reads of the sensor's calibrated square: the square's side in its pixels, the corner."""
+
+    square: int
+    left: int = 0
+    top: int = 0
+
+
+#: The camera's depth modes by the size of their pictures, as the SDK's sources have them.
+_MODES = {
+    (320, 288): _Mode(512, 96, 90),
+    (640, 576): _Mode(1024, 192, 180),
+    (512, 512): _Mode(512),
+    (1024, 1024): _Mode(1024),
+}
+
+
+def _elements(data: mmap.mmap) -> Iterator[tuple[int, int, int]]:
+    """Every element that holds no others: its number, start and end. Ends at what is no element or was cut off."""
+    at, end = 0, len(data)
+    while at < end:
+        first = data[at]
+        length = 9 - first.bit_length()
+        if length > 4 or at + length >= end:
+            return
+        number = int.from_bytes(data[at : at + length], "big")
+        at += length
+        width = 9 - data[at].bit_length()
+        if width > 8 or at + width > end:
+            return
+        size = int.from_bytes(data[at : at + width], "big") & ((1 << 7 * width) - 1)
+        at += width
+        if number in _HOLDERS:
+            yield number, at, at
+            continue
+        if at + size > end:
+            return
+        yield number, at, at + size
+        at += size
+
+
+@dataclasses.dataclass
+class _Track:
+    number: int = 0
+    name: str = ""
+    fourcc: bytes = b""
+    width: int = 0
+    height: int = 0
+
+
+@dataclasses.dataclass
+class _Contents:
+    """What was found in a file, in the order of the file."""
+
+    tracks: list[_Track] = dataclasses.field(default_factory=list)
+    tags: dict[str, str] = dataclasses.field(default_factory=dict)
+    files: dict[str, bytes] = dataclasses.field(default_factory=dict)
+    #: Track, time (in ``scale_ns``), start and end of each frame.
+    blocks: list[tuple[int, int, int, int]] = dataclasses.field(default_factory=list)
+    scale_ns: int = 1_000_000
+    end: int = 0
+
+
+def _read(data: mmap.mmap) -> _Contents:
+    found = _Contents()
+    cluster_time, name = 0, ""
+    for kind, start, end in _elements(data):
+        found.end = end
+        value = data[start : min(end, start + 12)] if kind in (_SIMPLE_BLOCK, _BLOCK) else data[start:end]
+        whole = int.from_bytes(value, "big") if len(value) <= 8 else 0
+        if kind == _TRACK:
+            found.tracks.append(_Track())
+        elif kind == _NUMBER and found.tracks:
+            found.tracks[-1].number = whole
+        elif kind == _NAME and found.tracks:
+            found.tracks[-1].name = value.decode(errors="replace")
+        elif kind == _PRIVATE and found.tracks:
+            found.tracks[-1].fourcc = value[16:20]
+        elif kind == _WIDTH and found.tracks:
+            found.tracks[-1].width = whole
+        elif kind == _HEIGHT and found.tracks:
+            found.tracks[-1].height = whole
+        elif kind in (_FILE_NAME, _TAG_NAME):
+            name = value.decode(errors="replace")
+        elif kind == _FILE_DATA:
+            found.files[name] = value
+        elif kind == _TAG_TEXT:
+            found.tags[name] = value.decode(errors="replace")
+        elif kind == _SCALE:
+            found.scale_ns = whole
+        elif kind == _CLUSTER_TIME:
+            cluster_time = whole
+        elif kind in (_SIMPLE_BLOCK, _BLOCK) and end - start > 4 and value[0] & 0x80:
+            time = cluster_time + int.from_bytes(value[1:3], "big", signed=True)
+            found.blocks.append((value[0] & 0x7F, time, start + 4, end))
+    return found
+
+
+class MkvRecording(Recording):
+    """The depth of an Azure Kinect's MKV file. The camera stands at the origin, and is called as the
+    file, as far as a camera can be."""
+
+    def _load(self) -> tuple[Rig, dict[str, list[int]]]:
+        path = self.path
+        with open_file(path) as file:
+            try:
+                self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+            except (OSError, ValueError) as error:  # ValueError: an empty file
+                reason = error.strerror if isinstance(error, OSError) else "it is empty"
+                raise InputError(f"{path} cannot be read: {reason}") from None
+        if int.from_bytes(self._data[:4], "big") != _HEADER:
+            raise InputError(f"{path} is not a Matroska file (MKV)")
+        found = _read(self._data)
+        depth = next((track for track in found.tracks if track.name == "DEPTH"), None)
+        if depth is None:
+            names = ", ".join(track.name or "one without name" for track in found.tracks) or "none"
+            raise InputError(f"{path} has no track DEPTH of an Azure Kinect; its tracks: {names}")
+        mode = _MODES.get((depth.width, depth.height))
+        if depth.fourcc != _FOURCC or mode is None:
+            raise InputError(f"{path} has depth of an unknown form ({depth.fourcc!r}, {depth.width}×{depth.height})")
+        name = safe_name(path.stem)
+        camera = self._camera(name, depth, mode, found)
+        size = 2 * depth.width * depth.height
+        start_ns = self._start_ns(found)
+        self._frames: dict[int, tuple[int, int]] = {}
+        for track, time, start, end in found.blocks:
+            if track == depth.number and end - start == size:
+                self._frames.setdefault(start_ns + time * found.scale_ns, (start, end))
+        if found.end < len(self._data):
+            self._note(f"{path} was cut off or is damaged after {found.end} bytes; what is before is read")
+        if not self._frames:
+            raise InputError(f"{path} has no depth frame")
+        # Cameras on one trigger wire count from its first pulse.
+        wired = found.tags.get("K4A_WIRED_SYNC_MODE") in ("MASTER", "SUBORDINATE")
+        serial = found.tags.get("K4A_DEVICE_SERIAL_NUMBER", name)
+        self._clock = "azure wired" if wired else f"azure {serial} device"
+        return Rig((camera,), "-y"), {name: sorted(self._frames)}
+
+    def _start_ns(self, found: _Contents) -> int:
+        """The device's time at which the file's begins."""
+        told = found.tags.get("K4A_START_OFFSET_NS", "0")
+        if not (told.isascii() and told.isdecimal() and len(told) < 19):
+            raise InputError(f"{self.path}: the tag K4A_START_OFFSET_NS must be nanoseconds, not {told!r}")
+        return int(told)
+
+    def _camera(self, name: str, track: _Track, mode: _Mode, found: _Contents) -> DepthCamera:
+        attached = found.files.get(found.tags.get("K4A_CALIBRATION_FILE", "calibration.json"))
+        if attached is None:
+            raise InputError(f"{self.path} has no calibration attached: was it written by k4arecorder?")
+        try:
+            document = parse_json(attached.rstrip(b"\0"), f"{self.path}: the attached calibration")
+            lenses = [_depth_lens(each) for each in document["CalibrationInformation"]["Cameras"]]
+            cx, cy, fx, fy, *k, _, _, p2, p1 = next(each for each in lenses if each is not None)
+        except (ValueError, KeyError, TypeError, OverflowError, StopIteration):
+            raise InputError(f"{self.path}: the attached calibration of the depth camera cannot be read") from None
+        # The factory's numbers are shares of the square, whose corner is at the corner of its first pixel.
+        side = mode.square
+        lens = np.array([k[0], k[1], p1, p2, *k[2:]], np.float64)
+        return checked(DepthCamera(
+            name, track.width, track.height, fx * side, fy * side, cx * side - mode.left - 0.5,
+            cy * side - mode.top - 0.5, distortion=five_coefficients(lens), depth_unit_m=_UNIT_M,
+        ))  # fmt: skip
+
+    def device_time(self, name: str, stamp: int) -> tuple[int, str]:
+        return stamp, self._clock
+
+    def raw(self, name: str, stamp: int) -> UInt16[ndarray, "h w"]:
+        start, end = self._frames[stamp]
+        camera = self.rig[name]
+        return np.frombuffer(self._data[start:end], ">u2").reshape(camera.height, camera.width).astype(np.uint16)
+
+    def raw_background(self, name: str) -> UInt16[ndarray, "h w"] | None:
+        return None
+
+    def _where(self, name: str, what: str) -> str:
+        return f"{self.path}: frame {what}"
+
+    def _load_truth(self) -> tuple[Int[ndarray, " rows"], Float[ndarray, "rows 18 3"], bool] | None:
+        return None
+
+
+def _depth_lens(camera: dict[str, Any]) -> list[float] | None:
+    """The 14 numbers of a camera's lens, if it is the one of depth."""
+    if camera["Location"] != "CALIBRATION_CameraLocationD0":
+        return None
+    return [float(each) for each in camera["Intrinsics"]["ModelParameters"][:14]]

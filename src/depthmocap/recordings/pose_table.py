@@ -1,0 +1,134 @@
+"""Tables of joints over time as CSV: what ``pose.csv`` and a recording's ``truth.csv`` hold, and reading them."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.core.reading.input_files import read_text
+from depthmocap.errors import InputError
+from depthmocap.frames import Pose
+
+TIME, STAMP = "time_s", "timestamp_ns"
+_POSITION_COLUMNS = [f"{joint}_{axis}" for joint in JOINTS for axis in "xyz"]
+_CONFIDENCE_COLUMNS = [f"{joint}_confidence" for joint in JOINTS]
+#: The columns of pose.csv.
+HEADER: tuple[str, ...] = (
+    TIME, *(f"{joint}_{field}" for joint in JOINTS for field in ("x", "y", "z", "confidence")), STAMP,
+)  # fmt: skip
+#: The columns of truth.csv: a recording's frames can be taken away at its beginning, so its times count from nothing.
+TRUTH_HEADER: tuple[str, ...] = (STAMP, *_POSITION_COLUMNS)
+#: Timestamps are at most this far from 0 (ns).
+_MOST_NS = 2**63 - 1
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PoseTable:
+    """Rows of a file with the columns of pose.csv or truth.csv.
+
+    Attributes:
+        stamps_ns: times on the frames' clock where the file has them (``on_clock``), otherwise its ``time_s``, whatever
+            that counts from.
+        times_s: its ``time_s``; without that column, since the first row.
+        joints: metres, NaN where unobserved.
+    """
+
+    stamps_ns: Int[ndarray, " t"]
+    on_clock: bool
+    times_s: Float[ndarray, " t"]
+    joints: Float[ndarray, "t 18 3"]
+    confidence: Float[ndarray, "t 18"]
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def poses(self) -> list[Pose]:
+        """Its rows as poses."""
+        rows = zip(self.stamps_ns.tolist(), self.joints, self.confidence, strict=True)
+        return [Pose(*row) for row in rows]
+
+
+def read_csv(path: Path) -> tuple[Float[ndarray, " t"], Float[ndarray, "t 18 3"], Float[ndarray, "t 18"]]:
+    """Times (s), joints (m, NaN where unobserved) and confidences of a file: see :func:`read_table`.
+
+    Raises:
+        InputError: see :func:`read_table`.
+    """
+    table = read_table(path)
+    return table.times_s, table.joints, table.confidence
+
+
+def read_table(path: Path) -> PoseTable:
+    """The rows of a file with the columns of ``write_csv``, or of a recording's truth.csv.
+
+    Columns are found by name, in any order; others are ignored. Of ``time_s`` and ``timestamp_ns`` one is enough. An
+    empty cell is NaN. Without the confidence columns an observed joint has confidence 1 and an unobserved one 0.
+
+    Raises:
+        InputError: when the file is missing or empty, lacks a column, or has a cell that is not a number or times
+            that go back.
+    """
+    text = read_text(path)
+    try:
+        rows = [row for row in csv.reader(io.StringIO(text)) if row]
+    except csv.Error as error:
+        raise InputError(f"{path} cannot be read as CSV: {error}") from None
+    if len(rows) < 2:
+        raise InputError(f"{path} holds no rows: expected a header line and one line per pose")
+    columns = {name.strip(): i for i, name in enumerate(rows[0])}
+    clocks = [name for name in (STAMP, TIME) if name in columns]
+    absent = [] if clocks else [f"{TIME} or {STAMP}"]
+    if absent := absent + [name for name in _POSITION_COLUMNS if name not in columns]:
+        more = f" and {len(absent) - 3} more" if len(absent) > 3 else ""
+        raise InputError(
+            f"{path} lacks the columns {', '.join(absent[:3])}{more}; expected {HEADER[0]}, {HEADER[1]}, …"
+        )
+    given = [name for name in _CONFIDENCE_COLUMNS if name in columns]
+    if given and len(given) < len(JOINTS):
+        raise InputError(f"{path} has a confidence column for {len(given)} of {len(JOINTS)} joints: all or none")
+
+    wanted = [columns[name] for name in (*_POSITION_COLUMNS, *given)]
+    table = np.empty((len(rows) - 1, len(wanted)))
+    stamps: dict[str, list[int]] = {name: [] for name in clocks}
+    for i, row in enumerate(rows[1:]):
+        if len(row) != len(rows[0]):
+            raise InputError(f"{path}, row {i + 2}: {len(row)} cells where the header has {len(rows[0])}")
+        try:
+            table[i] = [float(row[column].strip() or "nan") for column in wanted]
+        except ValueError as error:
+            raise InputError(f"{path}, row {i + 2}: {error}") from None
+        for name in clocks:
+            stamps[name].append(_nanoseconds(path, i + 2, name, row[columns[name]].strip()))
+    stamps_ns = np.array(stamps[clocks[0]], np.int64)
+    for name in clocks:
+        if (np.diff(np.array(stamps[name], np.int64)) < 0).any():
+            raise InputError(f"{path}: {name} must not go back from row to row")
+    if np.isinf(table).any():
+        raise InputError(f"{path} holds an infinite number; write nan for an unobserved joint")
+    times_s = np.array(stamps[TIME], np.int64) if TIME in stamps else stamps_ns - stamps_ns[0]
+    joints = table[:, :54].reshape(-1, len(JOINTS), 3)
+    observed = np.asarray(~np.isnan(joints).any(-1))
+    joints = np.where(observed[..., None], joints, np.nan)
+    confidence = table[:, 54:] if given else observed.astype(np.float64)
+    confidence = np.where(np.isnan(confidence), 0.0, confidence)
+    return PoseTable(stamps_ns, clocks[0] == STAMP, times_s * 1e-9, joints, confidence)
+
+
+def _nanoseconds(path: Path, row: int, column: str, cell: str) -> int:
+    """A cell of a time, exactly: a float of seconds does not hold the nanoseconds of an epoch."""
+    try:
+        number = Decimal(cell)
+        stamp = round(number * (1 if column == STAMP else 10**9)) if abs(number) <= _MOST_NS else None
+        if stamp is not None and abs(stamp) <= _MOST_NS:
+            return stamp
+    except (ArithmeticError, ValueError):  # Decimal's own errors are both
+        pass
+    raise InputError(f"{path}, row {row}: {column} must be a number in every row, got {cell[:40]!r}")

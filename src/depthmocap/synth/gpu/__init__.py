@@ -1,1 +1,0 @@
-"""The renderer, windows and training batches in torch, for a GPU."""

@@ -1,0 +1,250 @@
+"""The labelled windows that networks are trained and validated on, as torch data sets without an end (extra: train)."""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy import ndarray
+from torch import Tensor
+from torch.utils.data import Dataset, Sampler
+
+from depthmocap.body import regions, skeleton
+from depthmocap.body.regions import UNLABELLED
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.classify.window import WINDOW_MAKERS, NetworkName
+from depthmocap.errors import InputError
+from depthmocap.frames import View
+from depthmocap.synth.motion.postures import TRAINING_VARIATION, Variation, posture_source
+from depthmocap.synth.sample import Recipe, Split, Subset
+from depthmocap.synth.sample import Sampler as SampleSampler
+from depthmocap.train.windows import LabelledWindow, Spoiling, joint_places, training_window
+
+#: Validation draws from this seed whatever the run's: numbers of different runs compare.
+_VALID_SEED = 1_000_003
+_ENDLESS = 1 << 40
+#: So many batches at a time are sorted by the size of their windows.
+_SORTED = 8
+#: So many windows lie between one and its mirror image.
+_APART = 1024
+#: What training of our network can do without, to find out what it is worth: batch normalisation; half the channels;
+#: clothes; the sensors' errors; what hides, clings and spoils the mask; mirror images; postures beyond the recorded;
+#: every second row and column of pixels.
+Ingredient = Literal["norm", "width", "clothes", "errors", "spoiling", "mirror", "variation", "resolution"]
+
+
+@dataclasses.dataclass(frozen=True)
+class WindowSource:
+    """Where the windows of a network come from.
+
+    Attributes:
+        network: by which windows are made. Ours learns from pictures of any sensor, with its errors, spoilt as
+            segmentation spoils them; the paper's from exact depth of UBC3V's sensor and perfect masks.
+        data: "synth", or the root of a UBC3V set.
+        subset: who is in the pictures.
+        postures: folder of clips or a pool made of them; without it the packaged prior.
+        without: what our network's training pictures lack; those of validation are always the same, but for their
+            resolution.
+    """
+
+    network: NetworkName
+    data: str
+    subset: Subset
+    postures: Path | None
+    seed: int
+    without: tuple[Ingredient, ...] = ()
+
+    def train(self, first: int = 0) -> Dataset[LabelledWindow]:
+        """Windows from the ``first`` on, without end.
+
+        Raises:
+            InputError: postures or data that cannot be read.
+        """
+        if self.data != "synth":
+            return _FolderWindows(self, "train", first)
+        return _PaperWindows(self, "train", first) if self.network == "paper" else _SynthWindows(self, first)
+
+    def valid(self, count: int) -> list[LabelledWindow]:
+        """The fixed validation windows of the valid split, the same of every seed.
+
+        Raises:
+            InputError: postures or data that cannot be read.
+        """
+        fixed = dataclasses.replace(self, seed=_VALID_SEED)
+        if self.data != "synth":
+            folder = _FolderWindows(fixed, "valid", 0)
+            return [folder[i] for i in range(min(count, len(folder.index)))]
+        if self.network == "paper":
+            source = _PaperWindows(fixed, "valid", 0)
+            return [source[i] for i in range(count)]
+        postures = posture_source(self.postures, "valid", self.subset == "easy")
+        return [self.as_seen(training_window(fixed.seed, i, self.subset, postures, None)) for i in range(count)]
+
+    def as_seen(self, window: LabelledWindow) -> LabelledWindow:
+        """The window in the resolution of this source: half of it leaves every second row and column, drawn twice."""
+        if "resolution" not in self.without:
+            return window
+        return window._replace(inputs=window.inputs[:, ::2, ::2].repeat(2, 1).repeat(2, 2))
+
+    def window(self, view: View, joints: Float[ndarray, "18 3"] | None) -> LabelledWindow | None:
+        """The window of a view with mask and labels; None where nobody is. Only our network learns the joints."""
+        assert view.mask is not None and view.labels is not None
+        window = WINDOW_MAKERS[self.network](view.depth_m, view.mask, view.camera)
+        if window is None:
+            return None
+        labels = window.labels_from_image(view.labels, UNLABELLED)
+        places = np.full((len(JOINTS), 3), np.nan, np.float32)
+        if self.network == "paper":  # which learns what is not the person, too
+            labels[window.inputs[1] == 0] = 0
+        elif joints is not None:
+            places = joint_places(window, joints, view.camera)
+        return LabelledWindow(window.inputs, labels, places)
+
+
+class _SynthWindows(Dataset[LabelledWindow]):
+    """Open-ended pictures for our network."""
+
+    def __init__(self, source: WindowSource, first: int) -> None:
+        self.source, self.first = source, first
+        variation = Variation(mirror=0.5) if "variation" in source.without else TRAINING_VARIATION
+        self.postures = posture_source(source.postures, "train", source.subset == "easy", variation)
+        self.spoiling = None if "spoiling" in source.without else Spoiling()
+
+    def __len__(self) -> int:
+        return _ENDLESS
+
+    def __getitem__(self, index: int) -> LabelledWindow:
+        source = self.source
+        window = training_window(
+            source.seed, self.first + index, source.subset, self.postures, self.spoiling,
+            clothes="clothes" not in source.without, errors="errors" not in source.without,
+        )  # fmt: skip
+        return source.as_seen(window)
+
+
+class _PaperWindows(Dataset[LabelledWindow]):
+    """Pictures of the paper's kind: exact depth, nothing around the person (Sec. III)."""
+
+    def __init__(self, source: WindowSource, split: Split, first: int) -> None:
+        recipe = Recipe(source.subset, split, views=1, postures=source.postures, vary=split == "train")
+        self.source, self.first = source, first
+        self.sampler = SampleSampler(recipe, source.seed)
+
+    def __len__(self) -> int:
+        return _ENDLESS
+
+    def __getitem__(self, index: int) -> LabelledWindow:
+        (view,) = self.sampler(self.first + index).views
+        window = self.source.window(view, None)
+        assert window is not None  # the sampler draws again until somebody is seen
+        return window
+
+
+class _FolderWindows(Dataset[LabelledWindow]):
+    """Views of a UBC3V split in an order shuffled by the seed, over and over."""
+
+    def __init__(self, source: WindowSource, split: Split, first: int) -> None:
+        from depthmocap.datasets.ubc3v import CAMERAS, Section, sections
+
+        self.source, self.first = source, first
+        self.sections = [Section(path) for path in sections(Path(source.data), f"{source.subset}-pose", split)]
+        self.index = [
+            (s, i, v)
+            for s, section in enumerate(self.sections)
+            for i in range(len(section))
+            for v in range(len(CAMERAS))
+        ]
+        self.order = np.random.default_rng(source.seed).permutation(len(self.index))
+
+    def __len__(self) -> int:
+        return _ENDLESS
+
+    def __getitem__(self, index: int) -> LabelledWindow:
+        for attempt in range(100):  # a view may be missing or show nobody
+            s, i, v = self.index[int(self.order[(self.first + index + 7919 * attempt) % len(self.order)])]
+            frames = self.sections[s][i]
+            views = frames.views
+            if v >= len(views) or views[v].mask is None or views[v].labels is None:
+                continue
+            window = self.source.window(views[v], frames.true_joints)
+            if window is not None:
+                return window
+        raise InputError("100 views in a row hold no labelled person: is this a UBC3V root with labels?")
+
+
+class LabelledBatch(NamedTuple):
+    """Labelled windows of one size: inputs (n, c, h, w), labels (n, h, w) and joints (n, 18, 3), see LabelledWindow."""
+
+    inputs: Tensor
+    labels: Tensor
+    joints: Tensor
+
+
+def sorted_batches(windows: Sequence[LabelledWindow], size: int) -> Iterator[LabelledBatch]:
+    """The windows in batches of ``size``, alike windows together; the smaller ones of a batch are widened about their
+    middles, which leaves the places of the joints as they are."""
+    order = sorted(range(len(windows)), key=lambda i: windows[i].labels.shape)
+    for first in range(0, len(order), size):
+        chosen = [windows[i] for i in order[first : first + size]]
+        shape = np.max([each.labels.shape for each in chosen], 0)
+        wide = [widened(each, *shape) for each in chosen]
+        yield LabelledBatch(*(torch.from_numpy(np.stack(each)) for each in zip(*wide, strict=True)))
+
+
+def widened(window: LabelledWindow, height: int, width: int) -> LabelledWindow:
+    """The window with empty pixels around it."""
+    inputs, labels, joints = window
+    rows, columns = (height - labels.shape[0]) // 2, (width - labels.shape[1]) // 2
+    if not (rows or columns):
+        return window
+    around = (rows, rows), (columns, columns)
+    # The last channel is the same all over; depth and mask are 0 around the person.
+    wide = np.stack([np.pad(each, around) for each in inputs[:2]] + [np.full((height, width), inputs[2, 0, 0])])
+    return LabelledWindow(wide, np.pad(labels, around, constant_values=UNLABELLED), joints)
+
+
+def mirrored(window: LabelledWindow) -> LabelledWindow:
+    """The window of the mirror image of the person."""
+    table = np.full(256, UNLABELLED, np.uint8)
+    table[: len(regions.MIRROR)] = regions.MIRROR
+    inputs, labels = (np.ascontiguousarray(each[..., ::-1]) for each in (window.inputs, window.labels))
+    return LabelledWindow(inputs, table[labels], window.joints[skeleton.MIRROR] * np.array([-1, 1, 1], np.float32))
+
+
+def training_batches(
+    windows: Iterable[list[LabelledWindow]], size: int, seed: int, mirror: bool = True
+) -> Iterator[LabelledBatch]:
+    """Batches for our network: every window is shown twice, the second time as a mirror image and much later (unless
+    not ``mirror``); alike windows are together, which spares the network the empty pixels around them."""
+    rng = np.random.default_rng(seed)
+    later: collections.deque[LabelledWindow] = collections.deque()
+    shown: list[LabelledWindow] = []
+    for few in windows:
+        shown += few
+        later += few if mirror else []
+        while len(later) > _APART:
+            shown.append(mirrored(later.popleft()))
+        if len(shown) >= _SORTED * size:
+            batches = list(sorted_batches(shown[: len(shown) // size * size], size))
+            del shown[: len(batches) * size]
+            for i in rng.permutation(len(batches)):
+                yield batches[i]
+
+
+class Batches(Sampler[list[int]]):
+    """Indices 0 to size - 1, then the next ones, without end."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+
+    def __iter__(self) -> Iterator[list[int]]:
+        start = 0
+        while True:
+            yield list(range(start, start + self.size))
+            start += self.size

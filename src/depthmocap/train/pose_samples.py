@@ -1,0 +1,255 @@
+"""Samples that the pose stage learns from: what cameras saw of each region, and the true joints. Kept on disk, so that
+collecting, which is most of the work, can be stopped and resumed, and every estimator learns from the same samples."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import itertools
+from collections.abc import Generator, Sequence
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Float32, Int
+from numpy import ndarray
+from rich.console import Console
+from rich.progress import Progress
+
+from depthmocap.classify.classifier import Classifier
+from depthmocap.core.output import replacing
+from depthmocap.core.reading.array_files import ArrayType, read_npz, why
+from depthmocap.core.settings import check_seed, claim_folder
+from depthmocap.errors import InputError
+from depthmocap.frames import View
+from depthmocap.pose.cloud import merge_views
+from depthmocap.pose.features import FEATURE_COUNT, FeatureFrame, cloud_features
+from depthmocap.pose.labelled_view import LABELS, LabelledView, Labels, label_people
+from depthmocap.pose.parts import PART_COLUMNS, PART_COUNT, part_statistics
+from depthmocap.synth.sample import ANY_SENSOR, CameraRange, Recipe, Sample
+from depthmocap.synth.writing.stream import stream
+
+#: Of varied samples so many are cut off, and cameras stand nearer, higher and more askew.
+_CUT = 0.3
+_PLACES = CameraRange(distance_m=(0.8, 4.5), height_m=(0.1, 3.0), roll_rad=0.1, truncated=0.08)
+#: Samples a file.
+_CHUNK = 100
+
+
+@dataclasses.dataclass(frozen=True)
+class PoseSamples:
+    """Which samples.
+
+    Attributes:
+        data: "synth" makes samples; a folder is read as a UBC3V root (its <subset>-pose/train).
+        weights: a classifier.onnx of your own.
+        postures: folder of motion capture clips, or a pool made of them; without it the packaged prior.
+        subset: who is in the samples: easy, inter, hard, or open (all builds); by default open bodies are made, and
+            hard is read from a folder.
+        views: numbers of cameras that the paper's features are made for; the largest is the number of a sample's.
+        vary: recombine, perturb and tilt the postures, and cut people off; without, they are as recorded, which suits
+            the ridge.
+        frame: of the paper's features: world (the paper's), cloud (relative to its middle) or body (turned with it).
+        workers: processes that make pictures; 0 makes them between the labelling.
+    """
+
+    data: str = "synth"
+    weights: Path | None = None
+    postures: Path | None = None
+    subset: Literal["easy", "inter", "hard", "open"] | None = None
+    samples: int = 6000
+    views: tuple[int, ...] = (1, 2, 3, 4)
+    vary: bool = True
+    frame: FeatureFrame = "body"
+    seed: int = 0
+    workers: int = 1
+
+    @property
+    def people(self) -> Literal["easy", "inter", "hard", "open"]:
+        """The subset, its default resolved."""
+        return self.subset or ("open" if self.data == "synth" else "hard")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Collected:
+    """Samples in arrays. ``parts`` by kind of labels (see ``parts.part_statistics``; cameras that a sample lacks saw
+    nothing), joints in the world and the groups (clips) of the postures; ``features`` are the paper's, their joints
+    in the features' frame and their groups by kind of labels and number of cameras."""
+
+    parts: dict[Labels, Float32[ndarray, "n views 61 16"]]
+    joints: Float[ndarray, "n 18 3"]
+    groups: Int[ndarray, "n"]
+    features: dict[tuple[Labels, int], tuple[ndarray, ndarray, ndarray]]
+
+
+def collect(settings: PoseSamples, folder: Path, console: Console | None = None) -> Collected:
+    """Make the samples, or what is missing of them in ``folder``, and read them all.
+
+    Raises:
+        InputError: when the folder holds samples of other settings, or labels or weights cannot be read.
+    """
+    check_seed(settings.seed)
+    if not settings.views or min(settings.views) < 1 or settings.samples < 1:
+        raise InputError("--samples and every number of --views must be at least 1")
+    # What has no say in the samples may differ when they are resumed.
+    claim_folder(folder, settings, "samples", ("samples", "workers"))
+
+    files = [folder / f"{first:06d}.npz" for first in range(0, settings.samples, _CHUNK)]
+    done = next((i for i, file in enumerate(files) if not file.exists()), len(files))
+    if done < len(files):
+        classifier = Classifier(settings.weights)
+        rng_seed = [settings.seed, 7]
+        with Progress(console=console) as progress, contextlib.closing(_samples(settings, done * _CHUNK)) as samples:
+            task = progress.add_task("samples", total=settings.samples, completed=done * _CHUNK)
+            for file in files[done:]:
+                rows = []
+                for sample in itertools.islice(samples, min(_CHUNK, settings.samples - int(file.stem))):
+                    rng = np.random.default_rng([*rng_seed, int(file.stem), len(rows)])
+                    rows.append(_measure(sample, settings, classifier, rng))
+                    progress.advance(task)
+                if rows:
+                    with replacing(file) as unfinished:
+                        np.savez(unfinished, **_stack(rows))  # pyright: ignore[reportArgumentType]
+    return _read([file for file in files if file.exists()], settings)
+
+
+def read_samples(folder: Path, settings: PoseSamples) -> Collected:
+    """What was collected in a folder; of the settings only the views matter.
+
+    Raises:
+        InputError: when the folder holds no samples, or none of so many views.
+    """
+    return _read(sorted(folder.glob("[0-9]*.npz")), settings)
+
+
+def with_parts_of(samples: Collected, others: Sequence[Collected]) -> Collected:
+    """Samples with those of others behind them, as the voting network learns from; the paper's features are the first
+    ones' alone. Where some have more cameras, the others' lack what those saw."""
+    every = [samples, *others]
+    views = max(each.parts[LABELS[0]].shape[1] for each in every)
+
+    def padded(parts: ndarray) -> ndarray:
+        return np.pad(parts, ((0, 0), (0, views - parts.shape[1]), (0, 0), (0, 0)))
+
+    return dataclasses.replace(
+        samples,
+        parts={labels: np.concatenate([padded(each.parts[labels]) for each in every]) for labels in LABELS},
+        joints=np.concatenate([each.joints for each in every]),
+        groups=np.concatenate([each.groups for each in every]),
+    )
+
+
+def _samples(settings: PoseSamples, first: int) -> Generator[Sample, None, None]:
+    if settings.data == "synth":
+        recipe = Recipe(
+            settings.people, "train", max(settings.views), settings.postures, vary=settings.vary,
+            sensors=(ANY_SENSOR,), noise="random", cameras=CameraRange(roll_rad=0.03, truncated=0.05),
+        )  # fmt: skip
+        if settings.vary:
+            recipe = dataclasses.replace(recipe, cut="any", cut_share=_CUT, cameras=_PLACES)
+        for _, sample in stream(recipe, settings.seed, first, settings.samples, settings.workers):
+            yield sample
+        return
+    from depthmocap.datasets.ubc3v import iterate
+
+    frames = iterate(Path(settings.data), f"{settings.people}-pose", "train", settings.samples)
+    for index, frame in enumerate(frames):
+        if index >= first and frame.true_joints is not None:
+            # Blocks of ten neighbouring frames are one group of the cross-validation.
+            yield Sample(frame.views, frame.true_joints, index // 10)
+
+
+def label_sample(views: tuple[View, ...], classifier: Classifier | None) -> list[LabelledView] | None:
+    """Views with the network's labels on the person's mask, or without a network their true ones; None where a view has
+    none."""
+    if classifier is not None:
+        return label_people(views, classifier, "z")
+    parts: list[LabelledView] = []
+    for view in views:
+        if view.labels is None:
+            return None
+        parts.append(LabelledView(view, view.labels))
+    return parts
+
+
+def _measure(
+    sample: Sample, settings: PoseSamples, classifier: Classifier, rng: np.random.Generator
+) -> dict[str, ndarray]:
+    row: dict[str, ndarray] = {"joints": sample.joints, "groups": np.array(sample.group)}
+    chosen = {count: _choices(len(sample.views), count, rng) for count in settings.views}
+    for labels in LABELS:
+        views = label_sample(sample.views, classifier if labels == "network" else None)
+        parts = np.zeros((max(settings.views), PART_COUNT, PART_COLUMNS), np.float32)
+        if views is not None:
+            seen = part_statistics(merge_views(views))[: len(parts)]
+            parts[: len(seen)] = seen
+        row[f"parts {labels}"] = parts
+        for count, choices in chosen.items():
+            features = []
+            for choice in choices:
+                if views is None:
+                    break
+                found = cloud_features(merge_views([views[i] for i in choice]), "z", settings.frame)
+                if np.isfinite(found.values).any():
+                    features.append((found.values, found.from_world(sample.joints).astype(np.float32)))
+            key = f"{labels} {count}"
+            row[f"features {key}"] = np.array([f for f, _ in features], np.float32).reshape(-1, FEATURE_COUNT)
+            row[f"targets {key}"] = np.array([t for _, t in features], np.float32).reshape(-1, 18, 3)
+            row[f"members {key}"] = np.full(len(features), sample.group)
+    return row
+
+
+def _choices(available: int, wanted: int, rng: np.random.Generator) -> list[tuple[int, ...]]:
+    """Which views to take: up to two random choices of so many, so that one sample teaches several placements."""
+    if wanted > available:
+        return []
+    draws = {tuple(sorted(rng.choice(available, wanted, replace=False).tolist())) for _ in range(2)}
+    return sorted(draws)
+
+
+def _stacked(name: str) -> bool:
+    """Whether a name's arrays have one row a sample; the others have any number."""
+    return name.split()[0] in ("joints", "groups", "parts")
+
+
+def _stack(rows: list[dict[str, ndarray]]) -> dict[str, ndarray]:
+    join = {name: np.stack if _stacked(name) else np.concatenate for name in rows[0]}
+    return {name: join[name]([row[name] for row in rows]) for name in rows[0]}
+
+
+def _read(files: list[Path], settings: PoseSamples) -> Collected:
+    wanted = {"joints": ArrayType("n 18 3", "f"), "groups": ArrayType("n", "iu")}
+    for labels in LABELS:
+        wanted[f"parts {labels}"] = ArrayType(f"n v {PART_COUNT} {PART_COLUMNS}", "f")
+        for count in settings.views:
+            key = f"{labels} {count}"
+            wanted[f"features {key}"] = ArrayType(f"{labels}{count} {FEATURE_COUNT}", "f")
+            wanted[f"targets {key}"] = ArrayType(f"{labels}{count} 18 3", "f")
+            wanted[f"members {key}"] = ArrayType(f"{labels}{count}", "iu")
+    chunks = []
+    for file in files:
+        try:
+            chunks.append(read_npz(file, wanted))
+        except InputError as error:
+            what = "remove it, and it is made again, or give the --views that it has"
+            views = list(settings.views)
+            raise InputError(f"{file} cannot be read for {views} views ({why(error, file)}): {what}") from None
+    if not chunks:
+        raise InputError("no samples with joints: give a folder that train pose collected, or data that has joints")
+    if len({chunk[f"parts {LABELS[0]}"].shape[1] for chunk in chunks}) > 1:
+        raise InputError(f"{files[0].parent} holds samples of different numbers of cameras: collect them anew")
+    all_of = {name: np.concatenate([chunk[name] for chunk in chunks]) for name in chunks[0]}
+    return Collected(
+        {labels: all_of[f"parts {labels}"] for labels in LABELS},
+        all_of["joints"],
+        all_of["groups"],
+        {
+            (labels, count): (
+                all_of[f"features {labels} {count}"],
+                all_of[f"targets {labels} {count}"],
+                all_of[f"members {labels} {count}"],
+            )
+            for labels in LABELS
+            for count in settings.views
+        },
+    )

@@ -1,0 +1,88 @@
+"""Networks in 8-bit integers: two and a half times as fast on a CPU, and half the size (extra: train)."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxtyping import Float32
+from numpy import ndarray
+
+from depthmocap.core.output import replacing
+
+if TYPE_CHECKING:
+    import onnx
+
+#: What is made in 8 bits. The head is not: it is small, since only the person's pixels have one.
+_KINDS = ["Conv", "Relu", "Add", "Concat", "Reshape", "Transpose", "Gather"]
+
+
+def _telling_joints(model: onnx.ModelProto) -> list[str]:
+    """Names of the nodes that serve the joints alone, without the large convolutions."""
+    makers = {name: node for node in model.graph.node for name in node.output}
+
+    def behind(output: str) -> dict[str, onnx.NodeProto]:
+        found, open_names = {}, [output]
+        while open_names:
+            node = makers.get(open_names.pop())
+            if node is not None and node.name not in found:
+                found[node.name] = node
+                open_names += node.input
+        return found
+
+    kernels = {tensor.name: list(tensor.dims)[2:] for tensor in model.graph.initializer}
+    labels = behind("probabilities")
+    return [
+        name
+        for name, node in behind("joints").items()
+        if name not in labels and not (node.op_type == "Conv" and kernels.get(node.input[1], [1]) != [1, 1])
+    ]
+
+
+def quantise(source: Path, windows: Sequence[Float32[ndarray, "3 _ _"]], path: Path) -> Path:
+    """Write an ONNX classifier of ours with the convolutions of ``source`` in 8 bits.
+
+    How the joints are told stays as it is but for convolutions of more than one pixel: places want more than 8 bits.
+    Ranges of activations are those seen on ``windows``, from training data. Weights are scaled channel by channel and
+    use 7 of their 8 bits, because older processors' sums overflow otherwise; inputs, outputs and metadata stay as they
+    are.
+    """
+    import onnx
+    import onnxruntime
+    from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
+
+    class Windows(CalibrationDataReader):
+        def __init__(self) -> None:
+            self._open = iter(windows)
+
+        def get_next(self) -> dict[str, ndarray] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+            window = next(self._open, None)
+            return None if window is None else {"windows": window[None]}
+
+    with tempfile.TemporaryDirectory() as folder:
+        # The runtime's own pass folds the casts behind which weights are stored in fp16.
+        plain = Path(folder) / "plain.onnx"
+        options = onnxruntime.SessionOptions()
+        options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_BASIC
+        options.optimized_model_filepath = str(plain)
+        options.log_severity_level = 3
+        onnxruntime.InferenceSession(source.read_bytes(), options, providers=["CPUExecutionProvider"])
+        integer = Path(folder) / "integer.onnx"
+        logging.disable(logging.WARNING)  # advice about a pass that has just been made
+        try:
+            quantize_static(
+                plain, integer, Windows(), quant_format=QuantFormat.QDQ, per_channel=True, reduce_range=True,
+                activation_type=QuantType.QUInt8, weight_type=QuantType.QInt8,
+                op_types_to_quantize=_KINDS, nodes_to_exclude=_telling_joints(onnx.load(plain)),
+            )  # fmt: skip
+        finally:
+            logging.disable(logging.NOTSET)
+        model = onnx.load(integer)
+    kept = {entry.key: entry.value for entry in onnx.load(source).metadata_props}
+    onnx.helper.set_model_props(model, {**kept, "precision": "int8"})
+    with replacing(path) as unfinished:
+        onnx.save(model, unfinished)
+    return path

@@ -1,0 +1,129 @@
+"""A folder or file of results belongs to one process at a time, and files are there whole or not at all."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from depthmocap.cli import _COMMANDS
+from depthmocap.core.locks import own_file, own_folder, owns
+from depthmocap.core.output import remove_unfinished, replacing, write_file
+from depthmocap.errors import InputError
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from depthmocap.core.locks import own_folder
+with own_folder(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_a_folder_is_one_processs_until_it_dies(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "out"
+    with subprocess.Popen([sys.executable, "-c", HOLD, str(folder)], stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"held\n"
+        with pytest.raises(InputError, match=rf"out is being written by process {other.pid} on .*: wait for it"):
+            own_folder(folder).__enter__()
+        assert (folder / ".lock").exists()  # who was refused has not removed it
+        os.kill(other.pid, signal.SIGKILL)
+    assert (folder / ".lock").exists()
+    (folder / ".pose.part-123.csv").touch()  # as a killed process leaves
+    with own_folder(folder):
+        assert [path.name for path in folder.iterdir()] == [".lock"]
+        with pytest.raises(InputError, match=f"by process {os.getpid()} on"), own_folder(folder):
+            pass
+    assert list((tmp_path / "new").iterdir()) == [folder]  # it was there before
+    with own_folder(tmp_path / "second"):
+        pass
+    assert not (tmp_path / "second").exists()
+
+
+def test_a_lock_is_no_way_to_another_file(tmp_path: Path) -> None:
+    precious = tmp_path / "precious"
+    precious.write_text("kept")
+    for make in (Path.symlink_to, Path.hardlink_to):
+        folder = tmp_path / make.__name__
+        folder.mkdir()
+        make(folder / ".lock", precious)
+        with pytest.raises(InputError, match=r"\.lock is a link or no file.*remove it"), own_folder(folder):
+            pass
+        assert precious.read_text() == "kept"
+    for make in (os.mkdir, os.mkfifo):
+        folder = tmp_path / make.__name__
+        folder.mkdir()
+        make(folder / ".lock")
+        with pytest.raises(InputError, match="is a link or no file"), own_folder(folder):
+            pass
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="cannot write"), own_folder(tmp_path / "file"):
+        pass
+
+
+@dataclasses.dataclass(frozen=True)
+class _Settings:
+    out: Path
+    json: Path | None = None
+
+
+def test_a_command_owns_what_its_settings_name(tmp_path: Path) -> None:
+    settings = _Settings(tmp_path / "out", tmp_path / "a.json")
+
+    @owns(folder="out", files=("json",))
+    def command(settings: _Settings, more: int = 0) -> int:
+        for taken in (own_folder(settings.out), own_file(tmp_path / "a.json")):
+            with pytest.raises(InputError, match="is being written"), taken:
+                pass
+        with own_file(tmp_path / "b.json"):  # of the same folder, which nobody owns
+            return more
+
+    assert command(settings, more=2) == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_command_owns_what_it_writes() -> None:
+    pytest.importorskip("torch")
+    pytest.importorskip("anny")
+    # New files alone; a recording folder, which its writer owns; a folder for each split.
+    otherwise = {"record", "recover", "convert", "synth"}
+    for command in _COMMANDS:
+        module = importlib.import_module(command.module)
+        names = {field.name for field in dataclasses.fields(getattr(module, command.settings))}
+        if names & {"out", "json", "report", "csv"} and command.words not in otherwise | {"demo"}:  # demo runs run
+            assert hasattr(getattr(module, command.function), "__wrapped__"), command.words
+
+
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
+    path = tmp_path / "folder" / "Küche.json"
+    write_file(path, "grün\n")
+    assert path.read_bytes() == "grün\n".encode()
+    with pytest.raises(InputError, match=r"cannot write .*Küche\.json: No space left"), replacing(path) as unfinished:
+        assert unfinished.suffix == ".json"
+        unfinished.write_text("half")
+        with Path("/dev/full").open("w") as full:
+            full.write("x")
+    assert [(each.name, each.read_text(encoding="utf-8")) for each in path.parent.iterdir()] == [(path.name, "grün\n")]
+    precious = tmp_path / "precious"
+    precious.write_text("kept")
+    (tmp_path / "link").symlink_to(precious)
+    (tmp_path / f".link.part-{os.getpid()}").symlink_to(precious)
+    write_file(tmp_path / "link", b"mine")
+    assert (precious.read_text(), (tmp_path / "link").read_bytes()) == ("kept", b"mine")
+    with pytest.raises(InputError, match="/dev/null: it is no file"):
+        write_file(Path("/dev/null"), "")
+    for name in (".a.part-1.json", ".b.part-22", ".c.part", "d.part-1", ".e.json"):
+        (tmp_path / name).touch()
+    remove_unfinished(tmp_path, tmp_path / "a.json")
+    assert not (tmp_path / ".a.part-1.json").exists() and (tmp_path / ".b.part-22").exists()
+    remove_unfinished(tmp_path)
+    left = {each.name for each in tmp_path.iterdir()}
+    assert left == {".c.part", "d.part-1", ".e.json", "folder", "precious", "link"}

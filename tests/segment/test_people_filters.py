@@ -1,0 +1,61 @@
+"""Everybody who is followed has a filter of their own, for as long as it remembers them."""
+
+import numpy as np
+
+from depthmocap.classify.classifier import Found
+from depthmocap.frames import FrameSet, Pose, View
+from depthmocap.geometry import DepthCamera
+from depthmocap.offline.pipeline import Pipeline
+from depthmocap.segment.people_segmenter import SeenPerson
+from depthmocap.smooth.fixed_lag import FixedLag, FixedLagSettings
+from depthmocap.smooth.pose_filter import FORGET_S
+
+RATE, LAG = 10, 3
+CAMERA = DepthCamera("a", 4, 3, 5.0, 5.0, 1.5, 1.0)
+
+
+class Numbers:
+    """Gives the people that it is told, whatever is in the views."""
+
+    people = 2
+    present: tuple[int, ...] = ()
+
+    def __call__(self, frames: FrameSet) -> tuple[SeenPerson, ...]:
+        return tuple(SeenPerson(number, (np.ones((3, 4), bool),)) for number in self.present)
+
+    def reset(self) -> None:
+        pass
+
+
+class Anywhere:
+    """Labels nothing, and takes all joints to be in one place."""
+
+    def label_views(self, views, masks, *turned):
+        nothing = Found(np.zeros((3, 4), np.uint8), np.zeros((3, 4), np.float32), np.full((18, 4), np.nan))
+        return [nothing for _ in masks]
+
+    def __call__(self, cloud, up):
+        return np.zeros((18, 3)), np.ones(18)
+
+
+def test_every_pose_is_final_once_and_filters_of_who_has_gone_are_put_away() -> None:
+    segment = Numbers()
+    pipeline = Pipeline(Anywhere(), Anywhere(), segment, "z", FixedLag(FixedLagSettings(LAG)))  # type: ignore
+    given: dict[int, list[int]] = {}
+    final: dict[int, list[Pose]] = {}
+    most = 0
+    for i in range(12 * RATE):
+        # Person 1 comes and goes every three seconds; each of the others is there for less than the filter waits.
+        first = (1,) if i // (3 * RATE) % 2 == 0 else ()
+        segment.present = (*first, 2 + i // 2) if i < 11 * RATE else ()
+        stamp = i * 10**9 // RATE
+        for number in segment.present:
+            given.setdefault(number, []).append(stamp)
+        result = pipeline(FrameSet(stamp, (View(CAMERA, np.ones((3, 4), np.float32)),)))
+        most = max(most, len(pipeline._filters))
+        for number, own in result.final.items():
+            final.setdefault(number, []).extend(own)
+    for number, own in pipeline.finish_people().items():
+        final.setdefault(number, []).extend(own)
+    assert {number: [pose.timestamp_ns for pose in own] for number, own in final.items()} == given
+    assert most <= 2 + FORGET_S * RATE

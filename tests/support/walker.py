@@ -1,0 +1,62 @@
+"""A stick figure that walks in circles and waves its arms, and cameras that tell its joints with errors."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.calibration.joint_tracks import Track
+from depthmocap.geometry import look_at, rigid_inverse, transform_points
+
+_STICKS = {
+    "Head": (0, 0, 1.6), "Neck": (0, 0, 1.5), "Spine2": (0, 0.02, 1.35), "Spine1": (0, 0.03, 1.2),
+    "Spine": (0, 0.02, 1.08), "Hip": (0, 0, 0.95), "RHip": (-0.1, 0, 0.93), "RKnee": (-0.11, 0, 0.5),
+    "RFoot": (-0.12, 0, 0.08), "LHip": (0.1, 0, 0.93), "LKnee": (0.11, 0, 0.5), "LFoot": (0.12, 0, 0.08),
+    "RShoulder": (-0.19, 0, 1.42), "RElbow": (-0.3, 0, 1.2), "RHand": (-0.4, -0.1, 1.0),
+    "LShoulder": (0.19, 0, 1.42), "LElbow": (0.3, 0, 1.2), "LHand": (0.4, -0.1, 1.0),
+}  # fmt: skip
+REST = np.array([_STICKS[name] for name in JOINTS])
+_ARMS = [i for i, name in enumerate(JOINTS) if "Elbow" in name or "Hand" in name]
+
+
+def walk(times_s: Float[ndarray, " n"]) -> Float[ndarray, "n 18 3"]:
+    """Joints in the world: once around in 8 s, facing where it goes."""
+    turn = 2 * np.pi * times_s / 8
+    cos, sin = np.cos(turn), np.sin(turn)
+    joints = np.tile(REST, (len(times_s), 1, 1))
+    joints[:, _ARMS, 1] += 0.25 * np.sin(3 * times_s)[:, None]
+    joints[:, _ARMS, 2] += 0.15 * np.cos(2 * times_s)[:, None]
+    turned = joints.copy()
+    turned[..., 0] = joints[..., 0] * cos[:, None] - joints[..., 1] * sin[:, None]
+    turned[..., 1] = joints[..., 0] * sin[:, None] + joints[..., 1] * cos[:, None]
+    return turned + np.stack([0.6 * cos, 0.6 * sin, 0 * cos], 1)[:, None]
+
+
+def stand(azimuth_deg: float, height_m: float = 1.6) -> Float[ndarray, "4 4"]:
+    """``world_from_camera`` of a camera that looks at the middle."""
+    azimuth = np.deg2rad(azimuth_deg)
+    return look_at(np.array([2.6 * np.sin(azimuth), -2.6 * np.cos(azimuth), height_m]), np.array([0.0, 0.0, 0.9]))
+
+
+def track(
+    pose: Float[ndarray, "4 4"],
+    times_s: Float[ndarray, " n"],
+    rng: np.random.Generator,
+    noise_m: float = 0.03,
+    late_s: float = 0.0,
+) -> Track:
+    """What a camera tells of the figure; it looks ``late_s`` after its timestamps."""
+    joints = transform_points(rigid_inverse(pose), walk(times_s + late_s))
+    sigma = np.full(joints.shape[:2], np.sqrt(3) * noise_m)
+    return Track(times_s, joints + rng.normal(0, noise_m, joints.shape), sigma)
+
+
+def errors(
+    found: Float[ndarray, "4 4"], true: Float[ndarray, "4 4"], place: tuple[float, float, float]
+) -> tuple[float, float]:
+    """How far a pose puts a place wrong (metres), and the turn (radians)."""
+    off = found @ rigid_inverse(true)
+    moved = np.linalg.norm(transform_points(off, np.array(place)) - place)
+    return float(moved), float(np.arccos(np.clip((np.trace(off[:3, :3]) - 1) / 2, -1, 1)))
