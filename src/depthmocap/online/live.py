@@ -296,7 +296,10 @@ def live(
     Args:
         sources: cameras as ``depthmocap record`` names them, recordings, or opened by yourself.
         rig: where the cameras stand, or its rig.json; recordings know.
-        segment, smooth, bones, weights: see RunSettings.
+        segment: see RunSettings, as for the others.
+        smooth: the filter over time.
+        bones: whether bones keep their lengths.
+        weights: a classifier.onnx of your own.
 
     Raises:
         InputError: when a source is not what it says, or no camera can be opened.
