@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
 
-.PHONY: demo test body fuzz lint benchmark clean
+.PHONY: demo test body fuzz lint benchmark docs clean
 
 # The main job on the packaged recording: base install, no torch, no network but the package index.
 demo: $(VENV)/base
@@ -28,6 +28,10 @@ lint: $(VENV)/dev
 benchmark: $(VENV)/body
 	$(BIN)/python benchmarks/run.py
 
+# The site, into out/site; it is built from the pages, the code and the commands' own help.
+docs: $(VENV)/docs
+	$(BIN)/mkdocs build --strict
+
 $(VENV)/base: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install -q --disable-pip-version-check -e .
@@ -35,6 +39,10 @@ $(VENV)/base: pyproject.toml
 
 $(VENV)/dev: pyproject.toml constraints.txt $(VENV)/base
 	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[train,cluster,record,datasets,realsense,dev]'
+	touch $@
+
+$(VENV)/docs: $(VENV)/dev
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	touch $@
 
 # Anny's cache, which processes must not fill at the same time, and the kernels that make pictures, which each of them

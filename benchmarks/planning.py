@@ -1,4 +1,4 @@
-"""What a large set costs: the table of docs/data.md, from rates measured here and now.
+"""What a large set costs: the table of docs/guides/data.md, from rates measured here and now.
 
     python benchmarks/planning.py [--frames 6000000] [--noise sensor] [--samples 2002]
 

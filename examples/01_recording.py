@@ -1,4 +1,4 @@
-"""Motion capture of a recording folder, frame by frame: where the right hand is and what each stage costs.
+"""Motion capture of a recording, set by set: where the right wrist is, and how long that took.
 
 python examples/01_recording.py RECORDING
 """
@@ -9,17 +9,17 @@ import depthmocap
 
 
 def main(recording: str) -> None:
-    """Print the right wrist of every frame."""
+    """Print the right wrist of every set of frames."""
     pipeline = depthmocap.load_pipeline(recording)
-    hand = depthmocap.JOINTS.index("RHand")
+    wrist = depthmocap.JOINTS.index("RHand")
     for frames in depthmocap.open_source(recording):
         result = pipeline(frames)
         if result.pose.confidence.max() == 0:
             print(f"{frames.timestamp_ns}: nobody in view")
             continue
-        x, y, z = result.pose.joints[hand]
-        spent = sum(result.milliseconds.values())
-        print(f"{frames.timestamp_ns}: right hand at {x:.2f} {y:.2f} {z:.2f} m, {spent:.0f} ms")
+        x, y, z = result.pose.joints[wrist]
+        spent_ms = sum(result.milliseconds.values())
+        print(f"{frames.timestamp_ns}: right wrist at {x:.2f} {y:.2f} {z:.2f} m, {spent_ms:.0f} ms")
 
 
 if __name__ == "__main__":

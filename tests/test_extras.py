@@ -71,7 +71,7 @@ def test_messages_name_the_extra_that_has_the_package() -> None:
 
 def test_docs_name_extras_that_there_are() -> None:
     _, extras = _declared()
-    texts = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *SOURCE.rglob("*.py")]
+    texts = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *SOURCE.rglob("*.py")]
     named = set()
     for path in texts:
         named |= {each for found in re.findall(r"(?:depthmocap|'\.)\[([\w,]+)\]", path.read_text(encoding="utf-8"))

@@ -122,7 +122,7 @@ class Recipe:
         views: cameras around each posture.
         postures: folder of motion capture clips, or a pool made of them; without it the packaged prior.
         vary: recombine and perturb postures, for training.
-        sensors: names of sensors (see docs/sensors.md), of which each view draws one; "any" stands for all but the
+        sensors: names of sensors (see docs/guides/sensors.md), one is drawn for each view; "any" stands for all but the
             one that is kept out of training.
         noise: "none" for exact depth, "sensor" for the sensor's errors, "random" for errors drawn around them.
         scene: what is around the person: "off" nothing, "training" things that hide and cling, "full" furnished rooms.

@@ -1,4 +1,4 @@
-"""Depth sensors by name: size, field of view and what each makes of an exact picture. ``docs/sensors.md`` tells more.
+"""Depth sensors by name: size, field of view and what each makes of an exact picture. See ``docs/guides/sensors.md``.
 
 Sources of the numbers:
 

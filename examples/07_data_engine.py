@@ -1,6 +1,6 @@
 """People in rooms as different depth sensors read them, with the labels: docs/images/engine.webp.
 
-python examples/02_data_engine.py engine.webp
+python examples/07_data_engine.py engine.webp
 """
 
 import sys
