@@ -1,6 +1,6 @@
 """How well cameras are placed in generated scenes, where the truth is known. Needs the extra ``train``.
 
-python -m calibration_trial OUT
+python benchmarks/calibration_trial.py OUT
 """
 
 from __future__ import annotations

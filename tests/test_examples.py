@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from depthmocap.capture.open import packaged_recording
 from PIL import Image
+
+from depthmocap.recordings.open_recording import packaged_recording
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

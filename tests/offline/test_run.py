@@ -163,7 +163,7 @@ def test_a_long_pause_costs_the_bvh_alone(recording, tmp_path, capsys):
 
 def test_gaps_are_not_bridged_without_a_filter(recording):
     with pytest.raises(InputError, match="bridged by the filters"):
-        load_pipeline(recording, "none", "none", bridge_s=0.1)
+        load_pipeline(recording, segment="none", smooth="none", bridge_s=0.1)
 
 
 @pytest.mark.usefixtures("usual_signals")

@@ -29,6 +29,8 @@ SETS = 30
 class EmptyRoom:
     """Finds nobody."""
 
+    people, problems = 1, []
+
     def __call__(self, frames):
         return ()
 
@@ -87,7 +89,7 @@ def test_an_interruption_leaves_complete_files(recording, tmp_path, monkeypatch)
     pipeline = fake_pipeline()
 
     class Interrupted:
-        smoothing, segment = None, None
+        smoothing, segment = None, EmptyRoom()
 
         def __init__(self):
             self.calls = 0
@@ -137,8 +139,8 @@ def test_bones_are_steady_or_free(recording, tmp_path, monkeypatch, virtual, rea
     given = []
 
     def load(*arguments, **others):
-        given.append(others["bones"])
-        return fake_pipeline(load_filter("kalman", bones=others["bones"]))
+        given.append(others["settings"].bones)
+        return fake_pipeline(load_filter("kalman", bones=given[-1]))
 
     use_pipelines(monkeypatch, load)
     free, steady = (
@@ -207,7 +209,7 @@ def test_a_recording_that_was_cut_off_is_told_once(recording, tmp_path, virtual)
     cut = tmp_path / "cut.mcap"
     convert(ConvertSettings(Path(recording), cut))
     cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
-    summary = run_live(LiveSettings((str(cut),), realtime=True))
+    summary = run_live(LiveSettings((str(cut),), realtime=True)).summary
     assert [("cut off" in problem["text"], problem["times"]) for problem in summary["problems"]] == [(True, 1)]
     assert summary["frames"] > 5
 
@@ -222,7 +224,7 @@ def test_a_camera_in_the_dark_is_told_and_counted(tmp_path, monkeypatch, virtual
                 frames["cam1"][:] = 0
             writer.write(i * 40_000_000, frames)
     console = Terminal(record=True, width=200)
-    summary = run_live(LiveSettings((str(path),), segment="none"), console)
+    summary = run_live(LiveSettings((str(path),), segment="none"), console).summary
     assert summary["frames"] == 100
     assert summary["cameras"]["cam1"]["counts"]["dark"] == 50
     assert "• camera 'cam1': no pixel has depth: is it covered, or too near to something? (50 times)" in (

@@ -3,7 +3,7 @@ import pytest
 from depth_scene import make_camera, render, sense
 
 from depthmocap.errors import InputError
-from depthmocap.frames import FrameSet, View
+from depthmocap.frames import FrameSet, FrameSource, View
 from depthmocap.geometry import Rig
 from depthmocap.recordings.folder import Recording, RecordingWriter
 from depthmocap.segment.static_scene import PersonSegmenter
@@ -11,18 +11,17 @@ from depthmocap.segment.static_scene import PersonSegmenter
 PATH = [(np.sin(i / 2.1), 0.6 * np.sin(i / 1.3)) for i in range(20)]
 
 
-class Frames:
-    """A plain frame source, without background frames or random access."""
+class Frames(FrameSource):
+    """A plain frame source, without background frames."""
 
     def __init__(self, views: list[View]) -> None:
-        self.up = "z"
         self.views = views
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.views)
 
-    def __iter__(self):
-        return (FrameSet(i, (view,)) for i, view in enumerate(self.views))
+    def __getitem__(self, index: int) -> FrameSet:
+        return FrameSet(index, (self.views[index],))
 
 
 def overlap(found: np.ndarray, true: np.ndarray) -> float:
@@ -137,14 +136,14 @@ def test_three_still_cameras_are_reported_in_one_line(rng: np.random.Generator) 
     views = [View(make_camera(name), render(make_camera(name), [])[0]) for name in "abc"]
     sets = [FrameSet(i, tuple(views)) for i in range(3)]
 
-    class Source:
-        rig, up = Rig(tuple(view.camera for view in views)), "z"
+    class Source(FrameSource):
+        camera_names = tuple(view.camera.name for view in views)
 
         def __len__(self) -> int:
             return len(sets)
 
-        def __iter__(self):
-            return iter(sets)
+        def __getitem__(self, index: int) -> FrameSet:
+            return sets[index]
 
     (problem,) = PersonSegmenter.from_recording(Source()).problems
     assert problem.startswith("cameras 'a', 'b' and 'c': a whole person is found in at most 0% of the sampled frames")
