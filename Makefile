@@ -1,6 +1,10 @@
 PYTHON ?= python3
 VENV ?= .venv
-BIN = $(VENV)/bin
+BIN = $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
+EXTRAS = train,cluster,record,datasets,dev
+ifneq ($(shell uname -s),Darwin)  # the package index has no RealSense SDK for macOS
+EXTRAS := $(EXTRAS),realsense
+endif
 
 .PHONY: demo test body fuzz lint benchmark docs clean
 
@@ -38,7 +42,7 @@ $(VENV)/base: pyproject.toml
 	touch $@
 
 $(VENV)/dev: pyproject.toml constraints.txt $(VENV)/base
-	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[train,cluster,record,datasets,realsense,dev]'
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[$(EXTRAS)]'
 	touch $@
 
 $(VENV)/docs: $(VENV)/dev

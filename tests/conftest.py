@@ -23,7 +23,7 @@ def body_model() -> BodyModel:
 @pytest.fixture
 def usual_signals() -> Iterator[None]:
     """Signals as a terminal's programs have them, however the tests were started: a background job ignores some."""
-    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
     usual = {name: signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL for name in names}
     before = {name: signal.signal(getattr(signal, name), usual[name]) for name in names}
     yield

@@ -5,6 +5,7 @@ MkDocs calls these by their names (``hooks`` in mkdocs.yml).
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import re
 from pathlib import Path
@@ -34,6 +35,7 @@ def fetched_elsewhere(site: Path) -> list[str]:
     return found
 
 
+@functools.cache
 def _beside(name: str) -> ModuleType:
     """A script of this folder: MkDocs loads hooks as files, of no package."""
     found = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
@@ -53,6 +55,18 @@ def on_files(files: Files, config: Any) -> Files:
     files.append(File.generated(config, "reference/python.md", content=reference.python_page(depthmocap)))
     files.append(File.generated(config, "reference/commands.md", content=reference.commands_page()))
     return files
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> None:
+    """Refuse a page that names a command, an option, a name or a file which is not there."""
+    checks, reference = _beside("checks"), _beside("reference")
+    wrong = [
+        *checks.wrong_commands(markdown, reference.command_words(), reference.help_of),
+        *checks.wrong_names(markdown),
+        *checks.wrong_files(markdown, Path(page.file.abs_src_path or ".").parent),
+    ]
+    if wrong and not page.file.generated_by:
+        raise PluginError(f"{page.file.src_path}: " + "; ".join(wrong))
 
 
 def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:

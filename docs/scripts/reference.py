@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import os
 from types import ModuleType
@@ -54,13 +55,25 @@ def commands_page() -> str:
     for command in cli._COMMANDS:
         needs = f" Needs `pip install 'depthmocap[{command.extra}]'`." if command.extra else ""
         summary = command.help[0].upper() + command.help[1:]
-        lines += ["", f"## depthmocap {command.words}", "", f"{summary}.{needs}", "", "```text", _help(command.words)]
+        lines += ["", f"## depthmocap {command.words}", "", f"{summary}.{needs}", "", "```text", help_of(command.words)]
         lines += ["```"]
     return "\n".join(lines)
 
 
-def _help(words: str) -> str:
-    """What ``depthmocap WORDS --help`` prints."""
+def command_words() -> set[str]:
+    """The words of every command."""
+    from depthmocap import cli
+
+    return {command.words for command in cli._COMMANDS}
+
+
+@functools.cache
+def help_of(words: str) -> str:
+    """What ``depthmocap WORDS --help`` prints.
+
+    Raises:
+        PluginError: when the command cannot be loaded, for want of an extra.
+    """
     from depthmocap import cli
 
     out, errors = io.StringIO(), io.StringIO()

@@ -240,7 +240,7 @@ def test_what_is_wrong_is_told(sdk: Any, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(Fake, "lost", "")
     for said, told in (
         ("device is busy", "in use: close the other program"),
-        ("permission denied", "may not use .* udev rules"),
+        ("permission denied", "may not use camera .*: (install the udev rules|let programs use)"),
         ("no idea", r"cannot be started.*\(no idea\)"),
     ):
         monkeypatch.setattr(Fake, "start_error", said)

@@ -4,7 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from onnx import TensorProto, helper
 
 from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.errors import InputError
@@ -16,6 +15,9 @@ from depthmocap.pose.votes import VotesEstimator
 from depthmocap.synth.sample import Recipe, Sampler
 
 torch = pytest.importorskip("torch")
+pytest.importorskip("onnx")
+
+from onnx import TensorProto, helper  # noqa: E402
 
 from depthmocap.train.train_votes import augment, export_votes, tilted  # noqa: E402
 from depthmocap.train.votes_network import VotesNet  # noqa: E402

@@ -18,6 +18,11 @@ from depthmocap.geometry.depth_camera import check_camera
 
 _TWINS = "another has the same serial number: connect one of them"
 _UNSEEN = "its SDK does not see it: is another program using it?"
+_ALLOWING = (
+    "install the udev rules of its SDK"
+    if sys.platform.startswith("linux")
+    else "let programs use cameras in the system's privacy settings"
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,7 +125,7 @@ class Make:
         if any(word in lower for word in ("busy", "in use", "claim")):
             return CameraError(f"camera {camera!r} is in use: close the other program{said}")
         if any(word in lower for word in ("access", "permission", "denied")):
-            return CameraError(f"this user may not use camera {camera!r}: install the udev rules of its SDK{said}")
+            return CameraError(f"this user may not use camera {camera!r}: {_ALLOWING}{said}")
         return CameraError(f"camera {camera!r} cannot be started: it may be in use by another program{said}")
 
 

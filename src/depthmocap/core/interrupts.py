@@ -1,4 +1,5 @@
-"""How commands end early: SIGTERM and SIGHUP as Ctrl-C does, and none of them while results are being written."""
+"""How commands end early: SIGTERM, SIGHUP and, on Windows, SIGBREAK as Ctrl-C does, and none of them while results are
+being written."""
 
 from __future__ import annotations
 
@@ -9,8 +10,10 @@ import time
 from collections.abc import Iterator
 from types import FrameType
 
-#: Ctrl-C, and what asks a process to end: ``kill``, a supervisor, a terminal that is closed (not on Windows).
-_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+#: Ctrl-C, and what asks a process to end: ``kill``, a supervisor, a terminal that is closed. Windows has no SIGHUP, and
+#: no process there can send SIGTERM to another: what stands for both is SIGBREAK.
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+_SIGNALS = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
 #: One that follows another within so long tells the same (s): a closed terminal and its shell both send SIGHUP.
 _SAME_S = 2.0
 
@@ -19,7 +22,7 @@ class Ending:
     """What was asked of this process.
 
     Attributes:
-        status: the exit status that SIGTERM or SIGHUP asks for (128 and its number), None without.
+        status: the exit status that SIGTERM, SIGHUP or SIGBREAK asks for (128 and its number), None without.
     """
 
     def __init__(self) -> None:
@@ -62,7 +65,7 @@ _ending: Ending | None = None
 
 @contextlib.contextmanager
 def ended_by_signals() -> Iterator[Ending]:
-    """Within, SIGTERM and SIGHUP raise KeyboardInterrupt in the main thread, as Ctrl-C does. Signals that are ignored
+    """Within, these signals raise KeyboardInterrupt in the main thread, as Ctrl-C does. Signals that are ignored
     (``nohup``) or that a program handles itself stay as they are."""
     global _ending
     ending, before = Ending(), {}

@@ -1,6 +1,6 @@
 """``summary.json``: what came of a take, of all of it or of one person; the same keys whoever wrote it.
 
-docs/conventions.md says what they mean. A number that cannot be told is null.
+docs/guides/export.md says what they mean. A number that cannot be told is null.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from depthmocap.geometry import z_up_from
 #: Rotation into the Y-up world of TRC and BVH files from our Z-up world.
 Y_UP_FROM_Z_UP = z_up_from("y").T
 
-#: Joints with less confidence were hardly seen: docs/conventions.md has the measurement.
+#: Joints with less confidence were hardly seen: docs/guides/export.md has the measurement.
 LEAST_CONFIDENCE = 0.2
 #: The frame interval given to a recording of a single pose.
 SINGLE_FRAME_S = 1 / 30

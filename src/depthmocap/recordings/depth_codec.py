@@ -1,6 +1,6 @@
 """Lossless coding of depth pictures for recordings.
 
-``delta-zstd``, the default, was chosen by measurement (docs/guides/recordings.md): every pixel less its left neighbour,
+``delta-zstd``, the default, was chosen by measurement (docs/results/speed.md): every pixel less its left neighbour,
 the difference folded so that small ones of either sign are small numbers, low and high bytes apart, then Zstandard. The
 high bytes are nearly all zero and the low ones hold the sensor's noise, which no coding can shrink. ``png`` and ``raw``
 are larger, but any viewer shows them.

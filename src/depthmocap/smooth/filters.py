@@ -20,7 +20,7 @@ FILTERS: tuple[FilterName, ...] = get_args(FilterName)
 Smoothing = Literal["auto", "none", "average", "one-euro", "kalman", "fixed-lag"]
 Bones = Literal["free", "steady"]
 BONES_CHOICES: tuple[Bones, ...] = get_args(Bones)
-#: What "auto" stands for where frames follow each other; see docs/guides/smoothing.md for the measurement.
+#: What "auto" stands for where frames follow each other; see docs/results/time.md for the measurement.
 AUTO: FilterName = "kalman"
 
 

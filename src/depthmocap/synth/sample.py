@@ -20,7 +20,9 @@ from depthmocap.synth.body.mesh import PosedBody
 from depthmocap.synth.cut import CUTS, Cut, cut_plane, random_cut
 from depthmocap.synth.motion.beyond import FAMILIES, Family
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, PostureSource, Variation, posture_source
-from depthmocap.synth.people.bodies import random_dressed
+from depthmocap.synth.people.bodies import Wardrobe, random_dressed
+from depthmocap.synth.people.garments import DressedBody
+from depthmocap.synth.people.pockets import posed_in_clothes
 from depthmocap.synth.render import PosedPerson, Rendering, render_person
 from depthmocap.synth.scenes.scene import OFF, SCENE_PRESETS, Scene, random_scene, render_scene
 from depthmocap.synth.sensing.sensor import sense
@@ -127,6 +129,8 @@ class Recipe:
         noise: "none" for exact depth, "sensor" for the sensor's errors, "random" for errors drawn around them.
         scene: what is around the person: "off" nothing, "training" things that hide and cling, "full" furnished rooms.
         cameras: where they stand.
+        wardrobe: what people of open wear: "indoors", "any" (that, and outdoor jackets and hoods over it) or "outdoors"
+            (a jacket, all of them); in the last two they also put their hands in their pockets.
         held_out_clothes: everybody wears the family of garments that is kept out of training.
         seated: everybody sits.
         hands_on_body: everybody who can lays a hand or both on themselves: folded arms, hands on hips, at the chin.
@@ -146,6 +150,7 @@ class Recipe:
     noise: Noise = "none"
     scene: Literal["off", "training", "full"] = "off"
     cameras: CameraRange = CameraRange()
+    wardrobe: Wardrobe = "any"
     held_out_clothes: bool = False
     seated: bool = False
     hands_on_body: bool = False
@@ -156,7 +161,8 @@ class Recipe:
     def __post_init__(self) -> None:
         for option, value, known in (
             ("subset", self.subset, get_args(Subset)), ("split", self.split, get_args(Split)),
-            ("family", self.family, (*FAMILIES, None)), ("cut", self.cut, (*CUTS, "any", None)),
+            ("wardrobe", self.wardrobe, get_args(Wardrobe)), ("family", self.family, (*FAMILIES, None)),
+            ("cut", self.cut, (*CUTS, "any", None)),
         ):  # fmt: skip
             if value not in known:
                 raise InputError(f"--{option} takes {', '.join(filter(None, known))}, got {value!r}")
@@ -179,13 +185,16 @@ class Recipe:
         return tuple(dict.fromkeys(preset for presets in named for preset in presets))
 
 
-_BENCH = Recipe("open", "test", sensors=(ANY_SENSOR,), noise="sensor", cameras=CameraRange(roll_rad=0.03))
-#: The project's own test sets: what training shows; clothes and a sensor that it never shows; and people who sit or
-#: touch themselves, which recordings hardly show.
+_BENCH = Recipe(
+    "open", "test", sensors=(ANY_SENSOR,), noise="sensor", cameras=CameraRange(roll_rad=0.03), wardrobe="indoors"
+)
+#: The project's own test sets: ordinary people; clothes and a sensor that training never shows; people in outdoor
+#: jackets, with hands in pockets; and people who sit or touch themselves, which recordings hardly show.
 BENCH: dict[str, Recipe] = {
     "seen": _BENCH,
     "new clothes": dataclasses.replace(_BENCH, held_out_clothes=True),
     "new sensor": dataclasses.replace(_BENCH, sensors=(HELD_OUT_SENSOR,)),
+    "outdoors": dataclasses.replace(_BENCH, wardrobe="outdoors"),
     "seated": dataclasses.replace(_BENCH, seated=True),
     "hands on body": dataclasses.replace(_BENCH, hands_on_body=True),
     "floor": dataclasses.replace(_BENCH, family="floor"),
@@ -212,16 +221,29 @@ def see(person: PosedPerson, scene: Scene | None, camera: DepthCamera) -> Render
     return render_person(person, camera, *background)
 
 
-def random_person(rng: np.random.Generator, subset: Subset, postures: PostureSource) -> PosedPerson:
+def random_person(
+    rng: np.random.Generator, subset: Subset, postures: PostureSource, wardrobe: Wardrobe = "any"
+) -> PosedPerson:
     """Somebody of a subset in any posture."""
-    return random_dressed(rng, subset).pose(postures.sample(rng)[0])
+    dressed = random_dressed(rng, subset, wardrobe=wardrobe)
+    return _posed(rng, subset, dressed, postures.sample(rng)[0], wardrobe)
+
+
+def _posed(
+    rng: np.random.Generator, subset: Subset, dressed: DressedBody, posture: Float[ndarray, "20 3"], wardrobe: Wardrobe
+) -> PosedPerson:
+    """Somebody in a posture; those of open hold their arms as outdoor clothes let them."""
+    if subset != "open" or wardrobe == "indoors":
+        return dressed.pose(posture)
+    return posed_in_clothes(dressed, posture, rng)
 
 
 def draw_sample(rng: np.random.Generator, recipe: Recipe, postures: PostureSource) -> Sample:
     """One call of the paper's SAMPLE. Labels are exact; masks are the person's pixels (clothes and hair included)
     where the depth is valid."""
     posture, group = postures.sample(rng)
-    person = random_dressed(rng, recipe.subset, recipe.held_out_clothes).pose(posture)
+    dressed = random_dressed(rng, recipe.subset, recipe.held_out_clothes, recipe.wardrobe)
+    person = _posed(rng, recipe.subset, dressed, posture, recipe.wardrobe)
     presets = [recipe.presets[int(rng.integers(len(recipe.presets)))] for _ in range(recipe.views)]
     cameras = [
         random_camera(rng, person.body, recipe.cameras, preset, f"Cam{i + 1}") for i, preset in enumerate(presets)
@@ -229,7 +251,9 @@ def draw_sample(rng: np.random.Generator, recipe: Recipe, postures: PostureSourc
     settings = SCENE_PRESETS[recipe.scene]
     scene = None
     if settings != OFF:
-        scene = random_scene(rng, person, cameras, settings, lambda rng: random_person(rng, "open", postures))
+        scene = random_scene(
+            rng, person, cameras, settings, lambda rng: random_person(rng, "open", postures, recipe.wardrobe)
+        )
     cut, cut_seed = _drawn_cut(rng, recipe)
     views = []
     for camera, preset in zip(cameras, presets, strict=True):

@@ -11,7 +11,7 @@ from depthmocap.synth.body.bones import POSTURE_BONES, POSTURE_INDEX, turn_postu
 from depthmocap.synth.body.mesh import REST_POSTURE, Body
 from depthmocap.synth.motion.limits import within_limits
 from depthmocap.synth.motion.postures import PosturePrior, Variation
-from depthmocap.synth.motion.touch import _skin, _through_trunk, hands_on_body
+from depthmocap.synth.motion.touch import _through_trunk, default_skin, hands_on_body
 
 ARMS = [i for i, name in enumerate(POSTURE_BONES) if name.split(".")[0] in ("upper_arm", "forearm", "hand")]
 
@@ -104,7 +104,7 @@ def test_swings_turn_one_direction_into_another() -> None:
 def test_the_left_hands_places_are_the_rights_mirrored() -> None:
     for name, other in (("thigh R", "thigh L"), ("upper arm L", "upper arm R"), ("neck front", "neck front")):
         assert MIRROR[REGION[name]] == REGION[other]
-    skin = _skin()
+    skin = default_skin()
     regions = np.asarray(skin.body.model.face_regions)
     for right, left in zip(skin.faces["R"], skin.faces["L"], strict=True):
         assert set(MIRROR[regions[right]]) == set(regions[left])

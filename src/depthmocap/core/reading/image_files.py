@@ -94,7 +94,7 @@ def read_picture(
         _check_png(data, str(path))
     try:
         with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
-            check_picture_size(*image.size, str(path))
+            check_picture_size(image.width, image.height, str(path))
             if (mode or image.mode, size or image.size) != (image.mode, image.size):
                 wanted = [f"{mode} picture" if mode else "picture", f"of {size[0]}×{size[1]}" if size else ""]
                 raise InputError(

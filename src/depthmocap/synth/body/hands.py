@@ -88,8 +88,8 @@ def _bend(
     heads: Float[ndarray, "b 3"],
 ) -> None:
     """Rotations of the finger bones of a hand away from rest, and where their heads then are."""
-    fingers = np.array([[model.bone_names.index(f"finger{i}-{j}.{side}") for j in (1, 2, 3)] for i in range(1, 6)])
-    wrist = rest[model.bone_names.index(f"wrist.{side}")]
+    fingers, wrist_bone = _finger_bones(model, side)
+    wrist = rest[wrist_bone]
     along = unit(rest[fingers[2, 0]] - wrist)
     across = unit(rest[fingers[4, 0]] - rest[fingers[1, 0]])
     # Out of the palm: the side that the thumb's tip is on.
@@ -98,15 +98,27 @@ def _bend(
     apart = palm * -np.sign(np.cross(palm, along) @ across)
     # The thumb closes over the middle of the bent fingers.
     target = rest[fingers[2, 0]] + palm * np.linalg.norm(rest[fingers[2, 1]] - rest[fingers[2, 0]])
-    for i, bones in enumerate(fingers):
-        direction = unit(rest[bones[2]] - rest[bones[0]])
-        towards, angles = (target - rest[bones[0]], _THUMB_FIST) if i == 0 else (palm, _FIST)
-        axis = unit(np.cross(direction, towards))
-        turn = Rotation.from_rotvec(apart * grip.spread_rad * _SPREAD[i])
-        head = rest[bones[0]]
-        for j, bone in enumerate(bones):
-            turn = turn * Rotation.from_rotvec(axis * angles[j] * grip.curls[i])
-            rotations[bone] = turn.as_matrix()
-            heads[bone] = head
-            if j < 2:
-                head = head + turn.apply(rest[bones[j + 1]] - rest[bone])
+    directions = rest[fingers[:, 2]] - rest[fingers[:, 0]]
+    towards = np.concatenate([(target - rest[fingers[0, 0]])[None], np.tile(palm, (4, 1))])
+    axes = np.cross(directions, towards)
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    angles = np.stack([_THUMB_FIST, *[_FIST] * 4]) * np.array(grip.curls)[:, None]
+    # All rotations at once: the spread of each finger, then the bends of its three bones.
+    vectors = np.concatenate(
+        [apart * grip.spread_rad * _SPREAD[:, None], (axes[:, None] * angles[..., None]).reshape(-1, 3)]
+    )
+    matrices = Rotation.from_rotvec(vectors).as_matrix()
+    turn, bends, head = matrices[:5], matrices[5:].reshape(5, 3, 3, 3), rest[fingers[:, 0]]
+    for j in range(3):
+        turn = turn @ bends[:, j]
+        rotations[fingers[:, j]], heads[fingers[:, j]] = turn, head
+        if j < 2:
+            head = head + np.einsum("fij,fj->fi", turn, rest[fingers[:, j + 1]] - rest[fingers[:, j]])
+
+
+@functools.lru_cache(maxsize=2)
+def _finger_bones(model: BodyModel, side: str) -> tuple[Int[ndarray, "5 3"], int]:
+    """The bones of a hand's fingers, from the thumb on, and of its wrist."""
+    names = model.bone_names
+    fingers = [[names.index(f"finger{i}-{j}.{side}") for j in (1, 2, 3)] for i in range(1, 6)]
+    return np.array(fingers), names.index(f"wrist.{side}")

@@ -6,6 +6,7 @@ would be hidden. So arms are bent towards a random point of the skin by inverse 
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -43,7 +44,7 @@ _PALM_M, _ABOVE_M = 0.09, (0.03, 0.09)
 _TRUNK_M = 0.15, 0.1, 0.05
 
 
-class _Skin:
+class Skin:
     """Points of the default body's skin, by region, with their normals and the posture bones that carry them."""
 
     def __init__(self) -> None:
@@ -54,6 +55,7 @@ class _Skin:
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         self.normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         self.bones = model.skin_indices[model.faces[:, 0], 0]
+        #: Bones of the arms, from the shoulder on.
         self.chain = {
             side: [model.bone_names.index(f"{bone}.{side}") for bone in ("upperarm01", "lowerarm01", "wrist")]
             for side in "RL"
@@ -61,6 +63,10 @@ class _Skin:
         self.fingers = {
             side: self.body.rest_heads[model.bone_names.index(f"finger3-1.{side}")] - self.body.rest_heads[wrist]
             for side, (_, _, wrist) in self.chain.items()
+        }
+        self.forearms = {
+            side: self.body.rest_heads[wrist] - self.body.rest_heads[elbow]
+            for side, (_, elbow, wrist) in self.chain.items()
         }
         self.pelvis, self.neck = (model.bone_names.index(bone) for bone in ("root", "neck01"))
         regions = np.asarray(model.face_regions)
@@ -75,8 +81,9 @@ class _Skin:
 
 
 @functools.cache
-def _skin() -> _Skin:
-    return _Skin()
+def default_skin() -> Skin:
+    """The default body's, made once a process."""
+    return Skin()
 
 
 def hands_on_body(posture: Float[ndarray, "20 3"], rng: np.random.Generator) -> Float[ndarray, "20 3"]:
@@ -84,7 +91,7 @@ def hands_on_body(posture: Float[ndarray, "20 3"], rng: np.random.Generator) -> 
     sides = ["R", "L"] if rng.random() < 0.5 else ["L", "R"]
     behind = rng.random() < _BEHIND
     for side in sides[: 2 if behind or rng.random() < 0.6 else 1]:
-        world, moved = world_rotations(posture), _skin().body.bone_transforms(posture)
+        world, moved = world_rotations(posture), default_skin().body.bone_transforms(posture)
         for _ in range(_TRIES):
             place = _BACK if behind else int(rng.choice(len(_PLACES), p=[share for share, _ in _PLACES]))
             touching = _touch(posture, world.copy(), moved, side, place, rng)
@@ -104,42 +111,77 @@ def _touch(
 ) -> Float[ndarray, "20 3"] | None:
     """One arm bent towards a random point of a place's skin; None where it does not reach or would pass through the
     trunk. ``world``, the rotations of the posture, is changed."""
-    skin = _skin()
-    shoulder, elbow, wrist = (moved.heads[bone] for bone in skin.chain[side])
+    skin = default_skin()
     face = int(rng.choice(skin.faces[side][place]))
     bone = skin.bones[face]
     normal = moved.rotations[bone] @ skin.normals[face]
     point = moved.rotations[bone] @ skin.points[face] + moved.offsets[bone]
+    shoulder = moved.heads[skin.chain[side][0]]
     # The fingers point away from the elbow, which is not known yet: about away from the shoulder, along the skin.
-    ahead = unit(_across(point - shoulder + rng.normal(0, 0.1, 3), normal))
+    ahead = unit(across(point - shoulder + rng.normal(0, 0.1, 3), normal))
     target = point + normal * rng.uniform(*_ABOVE_M) - ahead * rng.uniform(0, _PALM_M)
-
-    upper, lower = np.linalg.norm(elbow - shoulder), np.linalg.norm(wrist - elbow)
-    reach = target - shoulder
-    distance = float(np.linalg.norm(reach))
-    if not abs(upper - lower) + 0.05 < distance < 0.98 * (upper + lower):
+    arm = Arm.reaching(moved, skin, side, target)
+    if arm is None:
         return None
     trunk = world[POSTURE_INDEX["spine_up"]]
     out = -1.0 if side == "R" else 1.0
     down, outwards = rng.uniform(0.2, 1), rng.uniform(0, 1.2)
     back = rng.uniform(0.2, 1) if place == _BACK else rng.uniform(-0.3, 0.6)
-    reach = reach / distance
-    pole = unit(_across(trunk @ np.array([out * outwards, back, -down]), reach))
-    along = (upper**2 - lower**2 + distance**2) / (2 * distance)
-    bent = shoulder + reach * along + pole * np.sqrt(max(upper**2 - along**2, 0.0))
-    if _through_trunk(np.stack([bent, (bent + target) / 2, target]), moved.heads[[skin.pelvis, skin.neck]], trunk):
+    if not arm.bend(world, trunk @ np.array([out * outwards, back, -down])):
         return None
-
-    arm, forearm, hand = (POSTURE_INDEX[f"{name}.{side}"] for name in ("upper_arm", "forearm", "hand"))
-    carried = world[forearm].T @ world[hand]
-    world[arm] = rotation_between(elbow - shoulder, bent - shoulder) @ world[arm]
-    world[forearm] = rotation_between(wrist - elbow, target - bent) @ world[forearm]
-    world[hand] = world[forearm] @ carried
+    hand = arm.bones[2]
     fingers = unit(world[hand] @ skin.fingers[side])
-    world[hand] = rotation_between(fingers, _across(fingers, normal) + 0.3 * fingers) @ world[hand]
-    bent_arm = posture.copy()
-    bent_arm[[arm, forearm, hand]] = local_rotations(world)[[arm, forearm, hand]]
-    return bent_arm
+    world[hand] = rotation_between(fingers, across(fingers, normal) + 0.3 * fingers) @ world[hand]
+    return arm.taken_over(posture, world)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Arm:
+    """An arm that shall bring its wrist to a point: where it is now, and its posture bones from the shoulder on."""
+
+    shoulder: Float[ndarray, "3"]
+    elbow: Float[ndarray, "3"]
+    wrist: Float[ndarray, "3"]
+    target: Float[ndarray, "3"]
+    ends: Float[ndarray, "2 3"]
+    bones: tuple[int, int, int]
+
+    @classmethod
+    def reaching(cls, moved: BoneTransforms, skin: Skin, side: str, target: Float[ndarray, "3"]) -> Arm | None:
+        """An arm of the default body; None where the point is too far away or too near."""
+        shoulder, elbow, wrist = (moved.heads[bone] for bone in skin.chain[side])
+        upper, lower = np.linalg.norm(elbow - shoulder), np.linalg.norm(wrist - elbow)
+        if not abs(upper - lower) + 0.05 < np.linalg.norm(target - shoulder) < 0.98 * (upper + lower):
+            return None
+        first, second, last = (POSTURE_INDEX[f"{name}.{side}"] for name in ("upper_arm", "forearm", "hand"))
+        ends = moved.heads[[skin.pelvis, skin.neck]]
+        return cls(shoulder, elbow, wrist, target, ends, (first, second, last))
+
+    def bend(self, world: Float[ndarray, "20 3 3"], towards: Float[ndarray, "3"]) -> bool:
+        """Turn upper arm and forearm, in place, the elbow in a direction; the hand goes with them. False, with nothing
+        done, where the arm would pass through the trunk."""
+        upper, lower = np.linalg.norm(self.elbow - self.shoulder), np.linalg.norm(self.wrist - self.elbow)
+        reach = self.target - self.shoulder
+        distance = float(np.linalg.norm(reach))
+        reach = reach / distance
+        pole = unit(across(towards, reach))
+        along = (upper**2 - lower**2 + distance**2) / (2 * distance)
+        bent = self.shoulder + reach * along + pole * np.sqrt(max(upper**2 - along**2, 0.0))
+        trunk = world[POSTURE_INDEX["spine_up"]]
+        if _through_trunk(np.stack([bent, (bent + self.target) / 2, self.target]), self.ends, trunk):
+            return False
+        first, second, last = self.bones
+        carried = world[second].T @ world[last]
+        world[first] = rotation_between(self.elbow - self.shoulder, bent - self.shoulder) @ world[first]
+        world[second] = rotation_between(self.wrist - self.elbow, self.target - bent) @ world[second]
+        world[last] = world[second] @ carried
+        return True
+
+    def taken_over(self, posture: Float[ndarray, "20 3"], world: Float[ndarray, "20 3 3"]) -> Float[ndarray, "20 3"]:
+        """The posture with this arm of the world's rotations."""
+        out, bones = posture.copy(), list(self.bones)
+        out[bones] = local_rotations(world)[bones]
+        return out
 
 
 def _through_trunk(points: Float[ndarray, "n 3"], ends: Float[ndarray, "2 3"], trunk: Float[ndarray, "3 3"]) -> bool:
@@ -153,6 +195,6 @@ def _through_trunk(points: Float[ndarray, "n 3"], ends: Float[ndarray, "2 3"], t
     return bool(inside.any())
 
 
-def _across(vector: Float[ndarray, "3"], axis: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
+def across(vector: Float[ndarray, "3"], axis: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
     """The part of a vector that is at a right angle to a unit axis."""
     return vector - axis * (vector @ axis)

@@ -14,7 +14,8 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from depthmocap.synth.body.mesh import Body, BodyModel, BoneTransforms, Phenotype
-from depthmocap.synth.people.sheet import Sheet, hair_sheet, leg_capsules, skirt_sheet, tail_sheet
+from depthmocap.synth.people.hood import Bound, collar, hood_down, hood_up
+from depthmocap.synth.people.sheet import Sheet, grid_faces, hair_sheet, leg_capsules, skirt_sheet, tail_sheet
 from depthmocap.synth.people.shell import (
     PosedCloth,
     RestCloth,
@@ -24,7 +25,7 @@ from depthmocap.synth.people.shell import (
     garment_shell,
     hair_cap,
 )
-from depthmocap.synth.people.wardrobe import Clothes, Hair, Shoes
+from depthmocap.synth.people.wardrobe import Clothes, Garment, Hair, Shoes
 from depthmocap.synth.render import Layer, Material, PosedPerson
 
 #: Points around a shoe and a bun.
@@ -53,12 +54,12 @@ class Rigid:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Piece:
-    """One thing that is worn: a shell, a sheet that hangs from it (or from its bones), a rigid part."""
+    """One thing that is worn: a shell, a sheet that hangs from it (or from its bones), a part of its own."""
 
     material: Material
     shell: Shell | None = None
     sheet: Sheet | None = None
-    rigid: Rigid | None = None
+    rigid: Rigid | Bound | None = None
 
     def pose(self, cloth: PosedCloth, transforms: BoneTransforms, floor: float) -> Layer:
         """The piece in a posture."""
@@ -126,13 +127,32 @@ def clothe(body: Body, clothes: Clothes, rng: np.random.Generator) -> DressedBod
             sheet = skirt_sheet(rest, body, legs, garment, shell.anchors_off_m, under, rng)
         worn = worn_now
         if len(shell.faces) or sheet is not None:  # not wholly beneath another
-            pieces.append(Piece(Material.DARK_CLOTH if garment.dark else Material.CLOTH, shell, sheet))
+            pieces.append(Piece(_cloth(garment), shell, sheet))
+        pieces.extend(_round_the_neck(rest, body, garment, clothes.hair, worn, rng))
     if over_trousers:
         pieces.append(Piece(Material.SHOE, boot_shell(rest, clothes.shoes, worn)[0]))
     if clothes.shoes.style != "bare":
         pieces.extend(Piece(Material.SHOE, rigid=_shoe(body, clothes.shoes, side)) for side in "LR")
     pieces.extend(_hair(rest, body, clothes.hair, rng))
     return DressedBody(body, clothes, rest, tuple(pieces))
+
+
+def _cloth(garment: Garment) -> Material:
+    return Material.DARK_CLOTH if garment.dark else Material.CLOTH
+
+
+def _round_the_neck(
+    rest: RestCloth, body: Body, garment: Garment, hair: Hair, worn: Float[ndarray, "n"], rng: np.random.Generator
+) -> list[Piece]:
+    """A garment's standing collar and its hood."""
+    parts = []
+    if garment.collar_m:
+        parts.append(collar(rest, body, garment, worn, rng))
+    if garment.hood == "down":
+        parts.append(hood_down(rest, body, garment, worn, rng))
+    if garment.hood == "up":
+        parts.append(hood_up(rest, body, garment, hair.volume_m, worn, rng))
+    return [Piece(_cloth(garment), rigid=part) for part in parts]
 
 
 def _hair(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator) -> list[Piece]:
@@ -149,15 +169,6 @@ def _hair(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator) -> 
     return pieces
 
 
-@functools.cache
-def _grid(rows: int, columns: int) -> Int[ndarray, "f 3"]:
-    """Faces of rows of rings."""
-    number = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
-    number = np.concatenate([number, number[:, :1]], 1)
-    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
-    return np.stack([a, c, b, b, c, d], -1).reshape(-1, 3)
-
-
 def _bun(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator) -> Rigid:
     """A ball of hair, anywhere from the nape to the crown."""
     scalp = rest.points[rest.cloth.head]
@@ -170,7 +181,7 @@ def _bun(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator) -> R
     around = np.linspace(0, 2 * np.pi, _AROUND, endpoint=False)
     ball = np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar) + 0 * around], -1)
     points = (at + radius * ball.reshape(-1, 3)).astype(np.float32)
-    return Rigid(points, _grid(9, _AROUND), body.model.bone_names.index("head"))
+    return Rigid(points, grid_faces(9, _AROUND, True), body.model.bone_names.index("head"))
 
 
 @functools.cache
@@ -208,4 +219,4 @@ def _shoe(body: Body, shoes: Shoes, side: str) -> Rigid:
     plane = back + (_STATIONS * length)[:, None, None] * forward + sideways[..., None] * across
     upwards = bottom + ((top - bottom) / 2 * _GIRTHS)[:, None] * (1 + z)
     mesh = np.concatenate([plane, upwards[..., None]], 2).reshape(-1, 3).astype(np.float32)
-    return Rigid(mesh, _grid(len(_STATIONS), _AROUND), body.model.bone_names.index(f"foot.{side}"))
+    return Rigid(mesh, grid_faces(len(_STATIONS), _AROUND, True), body.model.bone_names.index(f"foot.{side}"))

@@ -134,7 +134,8 @@ class Sheet:
         return points.reshape(-1, 3)
 
 
-def _grid_faces(rows: int, columns: int, closed: bool) -> Int[ndarray, "f 3"]:
+def grid_faces(rows: int, columns: int, closed: bool) -> Int[ndarray, "f 3"]:
+    """Triangles of a grid of points, row by row; a closed one goes on from its last column to its first."""
     number = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
     if closed:
         number = np.concatenate([number, number[:, :1]], 1)
@@ -163,11 +164,12 @@ def _sheet(
         margin_m=margin_m,
         fall_m=fall_m,
         rounds=rounds,
-        faces=_grid_faces(rows, width, closed),
+        faces=grid_faces(rows, width, closed),
     )
 
 
-def _ramp(x: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
+def ramp(x: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
+    """0 up to 0, 1 from 1 on, smooth between."""
     x = np.clip(x, 0, 1)
     return x * x * (3 - 2 * x)
 
@@ -205,10 +207,10 @@ def skirt_sheet(
     floor = float(body.rest_vertices[:, 2].min())
     length = min(garment.hangs_m * rest.scale, top - floor - 0.03)
     down = np.linspace(0, length, max(round(length / _SKIRT_ROW_M), 2) + 1)
-    eased = _ramp(down / 0.15)[:, None]
+    eased = ramp(down / 0.15)[:, None]
     reach = (1 - eased) * radius + eased * (soft + garment.slack_m * rest.scale) + garment.flare * down[:, None]
     waves = int(rng.integers(5, 12))
-    height = (garment.folds_m + 0.06 * garment.flare) * _ramp(down / 0.35)
+    height = (garment.folds_m + 0.06 * garment.flare) * ramp(down / 0.35)
     reach = reach + height[:, None] * np.cos(waves * azimuth + 0.8 * np.sin(azimuth + rng.uniform(0, 6)))
     hem = rng.uniform(-0.15, 0.15) * 0.3 * length  # longer behind or in front
     drop = down[:, None] + hem * (down / length)[:, None] ** 2 * np.cos(azimuth)
@@ -216,10 +218,10 @@ def skirt_sheet(
     points = np.concatenate([plane, (top - np.minimum(drop, top - floor - 0.02))[..., None]], 2)[:, columns]
 
     # In front cloth follows the thigh from the groin on, behind it first follows the seat.
-    legs = _ramp(down[:, None] / (0.13 + 0.08 * np.cos(azimuth[columns])))
+    legs = ramp(down[:, None] / (0.13 + 0.08 * np.cos(azimuth[columns])))
     knee = float(heads["lowerleg01.L"][2])
-    shins = _ramp((knee + 0.06 - points[..., 2]) / 0.14)
-    left = _ramp(0.5 + points[..., 0] / (2 * float(soft.mean())))
+    shins = ramp((knee + 0.06 - points[..., 2]) / 0.14)
+    left = ramp(0.5 + points[..., 0] / (2 * float(soft.mean())))
     weights = np.stack(
         [
             1 - legs,
@@ -242,12 +244,12 @@ def hair_sheet(rest: RestCloth, body: Body, hair: Hair, off_m: Float[ndarray, "c
     length = hair.length_m * rest.scale
     down = np.linspace(0, length, max(round(length / _HAIR_ROW_M), 3) + 1)
     waves = 1 + hair.lumps * np.cos(rng.integers(4, 9) * azimuth + rng.uniform(0, 6))
-    reach = off_m + (hair.volume_m * (waves - 1) + 0.015) * _ramp(down / 0.06)[:, None]
+    reach = off_m + (hair.volume_m * (waves - 1) + 0.015) * ramp(down / 0.06)[:, None]
     plane = line[:, :2] + reach[..., None] * out
     # Shorter towards the face.
     shorter = 1 - 0.35 * rng.uniform() * (np.abs(azimuth) / HAIR_SIDE_RAD) ** 4
     points = np.concatenate([plane, (line[:, 2] - down[:, None] * shorter)[..., None]], 2)
-    shoulders = np.broadcast_to(_ramp((down - 0.1) / 0.15)[:, None], plane.shape[:2])
+    shoulders = np.broadcast_to(ramp((down - 0.1) / 0.15)[:, None], plane.shape[:2])
     weights = np.stack([1 - shoulders, shoulders], -1)
     bones = [names.index("head"), names.index("spine01")]
     return _sheet(points, bones, weights, False, np.arange(len(azimuth)), upper_capsules(rest, body), 0.012, 0.015, 14)
@@ -264,10 +266,10 @@ def tail_sheet(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator
     angle = np.linspace(0, 2 * np.pi, 8, endpoint=False)
     root_height = rng.uniform(-0.02, 0.07) * rest.scale
     x = girth * np.sin(angle)
-    y = back[1] + 0.005 + 0.03 * _ramp(down / 0.06)[:, None] + girth * np.cos(angle)
+    y = back[1] + 0.005 + 0.03 * ramp(down / 0.06)[:, None] + girth * np.cos(angle)
     z = back[2] + root_height - down[:, None] + 0.0 * angle
     points = np.stack([x, y, z], 2)
-    shoulders = np.broadcast_to(_ramp((down - 0.15) / 0.2)[:, None], x.shape)
+    shoulders = np.broadcast_to(ramp((down - 0.15) / 0.2)[:, None], x.shape)
     names = body.model.bone_names
     bones = [names.index("head"), names.index("spine01")]
     weights = np.stack([1 - shoulders, shoulders], -1)

@@ -158,6 +158,8 @@ def _shape(cloth: ClothMap, garment: Garment, level: Float[ndarray, "n"]) -> Flo
     if garment.cuff:
         near = _smooth(level / 0.06)
         bulge = np.exp(-(((level - 0.09) / 0.05) ** 2))
+        if garment.padded and garment.hangs_m:  # an elastic is where cloth ends, not where it hangs on
+            near[trunk], bulge[trunk] = 1, 0
         shape = shape * (1 - garment.cuff * (1 - near)) + 0.4 * garment.cuff * bulge * (shape > 0.25)
     return shape
 
@@ -265,7 +267,8 @@ def garment_shell(
     air = _air(rest, garment) + garment.slack_m * rest.scale * _shape(cloth, garment, level)
     # Thick or loose cloth does not show what is small beneath it.
     stiff = np.float32(min((garment.thickness_m + 0.4 * garment.slack_m) / 0.015, 1.0))
-    own = np.float32(garment.thickness_m)
+    own = garment.thickness_m * _padding(cloth, garment, level, rng) if garment.padded else garment.thickness_m
+    own = np.float32(own)
     thickness = under + np.maximum(own + stiff * rest.span, np.float32(0.4) * own)
     if garment.hood_m:
         thickness = thickness + _hood(cloth, garment, level)
@@ -280,6 +283,27 @@ def garment_shell(
     shell = _cut(cloth, level, (thickness, air, folds), anchors, hidden)
     worn = np.where(level > 0, thickness + 0.4 * air, under).astype(np.float32)
     return shell, worn
+
+
+def _padding(
+    cloth: ClothMap, garment: Garment, level: Float[ndarray, "n"], rng: np.random.Generator
+) -> Float[ndarray, "n"]:
+    """Share of a padded garment's thickness: uneven, less at seams across it and where an elastic gathers it."""
+    uneven, wander = rng.choice(len(cloth.coarse), 2, replace=False)
+    share = 1 + np.float32(0.2) * cloth.coarse[uneven]
+    if garment.quilt_m:
+        rows = cloth.metres / np.float32(garment.quilt_m) + np.float32(0.12) * cloth.coarse[wander] + rng.uniform()
+        from_seam = 1 - np.abs(2 * (rows - np.floor(rows)) - 1)
+        share *= 1 - np.float32(rng.uniform(0.25, 0.6)) * (1 - from_seam) ** 2
+    # Sleeves are thinner; shoulders and neck carry the rest.
+    share[cloth.arm] *= 0.8
+    trunk = cloth.trunk
+    near_edge = 1 - _smooth(level / 0.05)
+    if garment.hangs_m:
+        near_edge[trunk] = 0
+    share *= 1 - np.float32(0.65 * garment.cuff) * near_edge
+    share[trunk] *= 1 - 0.6 * _smooth((cloth.neck[trunk] + 0.1) / 0.08)
+    return np.maximum(share, np.float32(0.15))
 
 
 def _hood(cloth: ClothMap, garment: Garment, level: Float[ndarray, "n"]) -> Float[ndarray, "n"]:

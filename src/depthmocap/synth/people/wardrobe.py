@@ -18,6 +18,7 @@ HELD_OUT_FAMILY = "coat"
 #: Height of the line that skirts and low hems hang from, metres above the crotch.
 SKIRT_LINE_M = 0.05
 
+Hood = Literal["none", "down", "up"]
 HairStyle = Literal["bald", "short", "curly", "bob", "long", "ponytail", "bun"]
 ShoeStyle = Literal["bare", "shoes", "boots"]
 
@@ -42,7 +43,10 @@ class Garment:
         flare: outward slope of the skirt, metres a metre.
         cuff: 0–1, how tightly an elastic gathers hem and cuffs.
         open_m: half the gap of an open front at the hem; 0 is closed.
-        hood_m: thickness of a hood that lies on the back, or of a collar.
+        hood_m: thickness of cloth that is gathered at the neckline: of a hood that lies on the back, or of a collar.
+        hood: a hood's own shape: none, lying round the neck and on the back, or up, over the head.
+        collar_m: height of a collar that stands round the neck, from its root; 0 is none.
+        quilt_m: distance of the seams across trunk and sleeves between which padding bulges; 0 is none.
         dark: dark cloth, which returns less light.
     """
 
@@ -62,12 +66,18 @@ class Garment:
     cuff: float = 0.0
     open_m: float = 0.0
     hood_m: float = 0.0
+    hood: Hood = "none"
+    collar_m: float = 0.0
+    quilt_m: float = 0.0
     dark: bool = False
 
     def __post_init__(self) -> None:
         if self.family not in FAMILIES:
             raise InputError(f"{self.family!r} is no family of garments: use one of {', '.join(FAMILIES)}")
-        lengths = (self.thickness_m, self.slack_m, self.folds_m, self.skirt_m, self.open_m, self.hood_m, self.v_neck_m)
+        lengths = (
+            self.thickness_m, self.slack_m, self.folds_m, self.skirt_m, self.open_m, self.hood_m, self.v_neck_m,
+            self.collar_m, self.quilt_m,
+        )  # fmt: skip
         if not all(np.isfinite(lengths)) or min(lengths) < 0:
             raise InputError(f"{self.family}: lengths of a garment must be finite and at least 0, got {lengths}")
         for name in ("sag", "cuff"):
@@ -76,6 +86,11 @@ class Garment:
         for name in ("sleeve", "leg"):
             if not 0 <= getattr(self, name) <= 2.2:
                 raise InputError(f"{self.family}: {name} must be in 0 (none) to 2.2, got {getattr(self, name)}")
+
+    @property
+    def padded(self) -> bool:
+        """Whether there is padding in it, as in outdoor jackets."""
+        return self.family in OUTDOOR_FAMILIES
 
     @property
     def hangs_m(self) -> float:
@@ -146,7 +161,23 @@ FAMILIES: dict[str, dict[str, _Range]] = {
     "dress": {"thickness_m": (0.003, 0.008), "slack_m": (0.003, 0.035), "sag": (0.1, 0.8), "folds_m": (0.002, 0.02),
               "neck": (-0.06, 0.03), "v_neck_m": (0, 0.07), "sleeve": (0, 1.95), "skirt_m": (0.25, 0.9),
               "flare": (0.0, 0.45)},
+    # Outdoor jackets. They end above the middle of the thighs, where the shortest coat goes on.
+    "puffer": {"thickness_m": (0.02, 0.06), "slack_m": (0.01, 0.05), "sag": (0.7, 1), "folds_m": (0.002, 0.008),
+               "hem": (-0.08, 0.17), "neck": (0.01, 0.04), "sleeve": (1.8, 2.02), "cuff": (0.2, 1),
+               "hood_m": (0.02, 0.05), "collar_m": (0.04, 0.115), "quilt_m": (0.06, 0.13)},
+    "parka": {"thickness_m": (0.02, 0.045), "slack_m": (0.015, 0.05), "sag": (0.8, 1), "folds_m": (0.004, 0.012),
+              "hem": (-0.18, -0.03), "neck": (0.01, 0.04), "sleeve": (1.85, 2.03), "cuff": (0, 0.6),
+              "hood_m": (0.02, 0.05), "collar_m": (0.04, 0.11)},
+    "anorak": {"thickness_m": (0.006, 0.02), "slack_m": (0.03, 0.08), "sag": (0.7, 1), "folds_m": (0.006, 0.016),
+               "hem": (-0.1, 0.1), "neck": (0.01, 0.05), "sleeve": (1.85, 2.02), "cuff": (0.3, 1),
+               "hood_m": (0.012, 0.04), "collar_m": (0.03, 0.1)},
+    "fleece": {"thickness_m": (0.014, 0.035), "slack_m": (0.005, 0.045), "sag": (0.5, 1), "folds_m": (0.002, 0.009),
+               "hem": (-0.06, 0.12), "neck": (0.01, 0.05), "sleeve": (1.8, 2.0), "cuff": (0.2, 1),
+               "hood_m": (0.005, 0.02), "collar_m": (0.03, 0.1)},
 }  # fmt: skip
+
+#: Families worn over all else and outdoors: thick, stiff or blown up, with standing collars and hoods.
+OUTDOOR_FAMILIES = ("puffer", "parka", "anorak", "fleece")
 
 #: Share of clothes that is dark.
 DARK_SHARE = 0.25
@@ -161,8 +192,8 @@ def random_garment(rng: np.random.Generator, family: str) -> Garment:
     for name in ("slack_m", "sag"):
         low, high = ranges[name]
         values[name] = low + (high - low) * float(np.clip(loose + rng.normal(0, 0.1), 0, 1))
-    garment = Garment(family, **values, dark=bool(rng.random() < DARK_SHARE))
-    if family in ("jacket", "coat") and rng.random() < 0.45:
+    garment = dataclasses.replace(Garment(family), **values, dark=bool(rng.random() < DARK_SHARE))
+    if family in ("jacket", "coat", *OUTDOOR_FAMILIES) and rng.random() < 0.45:
         garment = dataclasses.replace(garment, open_m=float(rng.uniform(0.04, 0.12)))
     if family == "dress" and rng.random() < 0.35:
         garment = dataclasses.replace(garment, sleeve=0.0)

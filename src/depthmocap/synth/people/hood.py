@@ -1,0 +1,163 @@
+"""Standing collars and hoods: meshes of their own round the neck and the head, since they leave the skin."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from depthmocap.synth.body.mesh import Body, BoneTransforms
+from depthmocap.synth.people.sheet import grid_faces, ramp
+from depthmocap.synth.people.shell import RestCloth
+from depthmocap.synth.people.wardrobe import Garment
+
+#: Columns round the neck and round the opening of a hood.
+_COLUMNS = 28
+#: The neck is measured so far above its root, and what is worn there around the root (metres, as ``ClothMap.neck``).
+_NECK_M, _ROOT_M = (0.01, 0.05), (-0.04, 0.01)
+#: Slope of the root of the neck, which is lower in front.
+_SLOPE = 0.55
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Bound:
+    """A mesh that is bound to a few bones: vertices at rest, and how much each follows them."""
+
+    rest: Float[ndarray, "v 3"]
+    faces: Int[ndarray, "f 3"]
+    indices: Int[ndarray, "v k"]
+    weights: Float[ndarray, "v k"]
+
+    def pose(self, transforms: BoneTransforms) -> Float[ndarray, "v 3"]:
+        """Vertices in a posture."""
+        return transforms.skin(self.rest, self.indices, self.weights)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Neck:
+    """The root of a body's neck, with what is worn on it: centre and half widths (metres)."""
+
+    centre: Float[ndarray, "3"]
+    wide: float
+    deep: float
+    scale: float
+
+    @classmethod
+    def of(cls, rest: RestCloth, body: Body, worn: Float[ndarray, "n"]) -> _Neck:
+        level = rest.cloth.neck[rest.cloth.trunk]
+        skin = rest.points[: len(level)][(level > _NECK_M[0]) & (level < _NECK_M[1])]
+        low, high = skin.min(0), skin.max(0)
+        root = body.rest_heads[body.model.bone_names.index("neck01")]
+        off = 0.5 * float(np.median(worn[: len(level)][(level > _ROOT_M[0]) & (level < _ROOT_M[1])]))
+        centre = np.array([0.0, (low[1] + high[1]) / 2, root[2]])
+        return cls(centre, float(high[0]) + off, float(high[1] - low[1]) / 2 + off, rest.scale)
+
+    def ring(
+        self,
+        azimuth: Float[ndarray, "c"],
+        off_m: Float[ndarray, "r c"],
+        up_m: Float[ndarray, "r c"],
+        slope: Float[ndarray, "r 1"] | float = _SLOPE,
+    ) -> Float[ndarray, "r c 3"]:
+        """Points round the neck, so far off it and above its root."""
+        x, back = (self.wide + off_m) * np.sin(azimuth), (self.deep + off_m) * np.cos(azimuth)
+        z = self.centre[2] + up_m + slope * back
+        return np.stack([x + self.centre[0], back + self.centre[1], z], -1)
+
+
+def _bound(body: Body, points: Float[ndarray, "r c 3"], bones: dict[str, ndarray], closed: bool) -> Bound:
+    """A grid of points, bound to bones by weights of the grid's shape."""
+    flat = np.stack([np.broadcast_to(weight, points.shape[:2]).ravel() for weight in bones.values()], 1)
+    names = np.array([body.model.bone_names.index(name) for name in bones], np.int32)
+    order = np.argsort(-flat, axis=1)
+    weights = np.ascontiguousarray(np.take_along_axis(flat, order, 1), np.float32)
+    rest = np.ascontiguousarray(points.reshape(-1, 3), np.float32)
+    rows, columns = points.shape[:2]
+    return Bound(rest, grid_faces(rows, columns, closed), np.ascontiguousarray(names[order]), weights)
+
+
+def collar(rest: RestCloth, body: Body, garment: Garment, worn: Float[ndarray, "n"], rng: np.random.Generator) -> Bound:
+    """A collar that stands round the neck, up to the chin and the ears where it is high; it gapes in front where
+    the garment is open.
+
+    Args:
+        worn: how far all that is worn stands off the skin.
+    """
+    neck = _Neck.of(rest, body, worn)
+    half = np.pi - (rng.uniform(0.35, 1.0) if garment.open_m else 0.0)
+    azimuth = np.linspace(-half, half, _COLUMNS, endpoint=half < np.pi)
+    height = garment.collar_m * neck.scale * (1 + 0.15 * np.cos(azimuth))
+    thick = np.clip(0.6 * garment.thickness_m, 0.006, 0.025)
+    lean = rng.uniform(0.0, 0.25)  # outwards
+    off = rng.uniform(0.004, 0.02)
+    share = np.array([-0.4, 0.0, 0.35, 0.7, 0.95, 1.0, 0.9, 0.4, 0.0])[:, None]
+    wall = np.array([1.0, 1.0, 1.15, 1.1, 0.8, 0.3, 0.0, 0.0, 0.0])[:, None] * thick
+    gape = rng.uniform(0, 0.03) * ramp(np.abs(azimuth) / half - 0.5) if garment.open_m else 0.0
+    waves = 0.004 * np.cos(rng.integers(3, 7) * azimuth + rng.uniform(0, 6))
+    up = share * height
+    reach = off + wall + lean * np.maximum(up, 0) + (gape + waves) * np.clip(share, 0, 1)
+    points = neck.ring(azimuth, reach, up, _SLOPE - 0.3 * np.clip(share, 0, 1))
+    turning = 0.5 * np.clip(share, 0, 1)
+    return _bound(body, points, {"spine01": 1 - turning, "neck02": turning}, half == np.pi)
+
+
+def hood_down(
+    rest: RestCloth, body: Body, garment: Garment, worn: Float[ndarray, "n"], rng: np.random.Generator
+) -> Bound:
+    """A hood that lies round the neck as a thick roll, from collarbone to collarbone, and hangs on the back."""
+    neck = _Neck.of(rest, body, worn)
+    half = rng.uniform(1.9, 2.7)
+    azimuth = np.linspace(-half, half, _COLUMNS)
+    behind = np.clip(np.cos(azimuth), 0, 1)
+    # Thin where it begins in front, thick and drooping behind.
+    size = garment.hood_m * neck.scale * (0.35 + 0.65 * ramp((half - np.abs(azimuth)) / 1.2))
+    droop = rng.uniform(0.03, 0.17) * neck.scale * behind**1.5
+    angle = np.linspace(0, 2 * np.pi, 11)[:, None]
+    low = 0.5 - 0.5 * np.sin(angle)
+    lumps = 1 + 0.15 * np.cos(rng.integers(3, 8) * azimuth + rng.uniform(0, 6))
+    base = rng.uniform(0.0, 0.015)
+    off = base + size + size * lumps * np.cos(angle) + 0.25 * droop * low
+    up = rng.uniform(0.0, 0.03) + 0.7 * size + rng.uniform(0.8, 1.3) * size * lumps * np.sin(angle) - droop * low
+    return _bound(body, neck.ring(azimuth, off, up), {"spine01": np.array(1.0)}, False)
+
+
+def hood_up(
+    rest: RestCloth, body: Body, garment: Garment, hair_m: float, worn: Float[ndarray, "n"], rng: np.random.Generator
+) -> Bound:
+    """A hood pulled up: round head and neck, a few centimetres off them, open before the face.
+
+    Args:
+        hair_m: thickness of the hair beneath.
+    """
+    neck = _Neck.of(rest, body, worn)
+    scalp = rest.points[rest.cloth.head]
+    low, high = scalp.min(0), scalp.max(0)
+    eye = float(body.rest_heads[body.model.bone_names.index("eye.L")][2])
+    pad = hair_m + (rng.uniform(0.008, 0.04) + 0.3 * garment.thickness_m) * max(neck.scale, 0.8)
+    centre = np.array([0.0, (low[1] + high[1]) / 2, eye])
+    half = (high - low) / 2 + pad
+    above, below = float(high[2] - eye + pad), float(eye - neck.centre[2] + 0.05 * neck.scale)
+    # Rows from the opening, that is a circle about the forward axis, to the back of the head.
+    opening = rng.uniform(0.75, 1.25)
+    polar = np.linspace(opening, np.pi, 15)[:, None]
+    around = np.linspace(0, 2 * np.pi, _COLUMNS, endpoint=False)
+    side, up = np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around)
+    forward = np.broadcast_to(-np.cos(polar), side.shape)
+    # Squarer than an ellipsoid below, where it hangs to the shoulders; slack at the back of the crown.
+    grown = 1 + rng.uniform(0, 0.22) * np.clip(0.7 * forward + 0.7 * up, 0, 1) ** 3
+    grown = grown + 0.03 * np.cos(rng.integers(2, 5) * around + rng.uniform(0, 6)) * np.sin(2 * polar)
+    grown = grown + 0.12 * np.clip(-up, 0, 1) * np.abs(side)
+    z = np.where(up > 0, above, below) * up
+    points = centre + np.stack([half[0] * side * grown, half[1] * forward * grown, z * np.where(up > 0, grown, 1)], -1)
+    # The rim comes forward and closes in, and is as thick as the cloth; of fur, thicker.
+    rim = rng.uniform(0.0, 0.055) * neck.scale
+    edge = rng.uniform(0.015, 0.03) if rng.random() < 0.25 else rng.uniform(0.003, 0.012)
+    outwards = np.stack([np.cos(around), 0 * around, np.sin(around)], -1)
+    turn = np.array([0.0, 0.8, 1.6, 2.4, 3.2])[::-1, None, None]
+    tip = points[0] - np.array([0, rim, 0]) - rng.uniform(0, 0.35) * rim * outwards
+    lip = tip + edge * (np.cos(turn) - 1) * outwards + edge * np.sin(turn) * np.array([0, -1.0, 0])
+    points = np.concatenate([lip, points])
+    turning = ramp((points[..., 2] - neck.centre[2] - 0.02) / (0.1 * neck.scale))
+    return _bound(body, points, {"head": turning, "spine01": 1 - turning}, True)
