@@ -13,7 +13,7 @@ from depthmocap.geometry.transforms import look_at
 from depthmocap.synth.body.bones import POSTURE_BONES, POSTURE_INDEX
 from depthmocap.synth.body.mesh import REST_POSTURE, Body
 from depthmocap.synth.motion.limits import within_limits
-from depthmocap.synth.motion.pockets import PocketKind, arms_off_trunk, hands_in_pockets
+from depthmocap.synth.motion.pocketed_hands import PocketKind, arms_off_trunk, hands_in_pockets
 from depthmocap.synth.people.bodies import random_dressed
 from depthmocap.synth.people.garments import DressedBody, clothe
 from depthmocap.synth.people.outdoors import HOOD_UP_SHARE, JACKET_SHARE, for_outdoors

@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.geometry.transforms import unit
-from depthmocap.synth.motion.pockets import Pocketed, PocketKind, arms_off_trunk, hands_in_pockets
+from depthmocap.synth.motion.pocketed_hands import Pocketed, PocketKind, arms_off_trunk, hands_in_pockets
 from depthmocap.synth.motion.touch import across
 from depthmocap.synth.people.garments import DressedBody
 from depthmocap.synth.people.sheet import grid_faces
