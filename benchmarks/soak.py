@@ -11,9 +11,10 @@ forwards and backwards; or those of a recording.
 from __future__ import annotations
 
 import collections
+import ctypes
 import dataclasses
 import json
-import resource
+import sys
 import tempfile
 import threading
 import time
@@ -149,7 +150,33 @@ def _memory_mb() -> float:
     if status.exists():
         line = next(line for line in status.read_text(encoding="utf-8").splitlines() if line.startswith("VmRSS"))
         return int(line.split()[1]) / 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    if sys.platform == "win32":
+        return _windows_memory_mb()
+    import resource
+
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most / 2**20 if sys.platform == "darwin" else most / 1024
+
+
+class _MemoryCounters(ctypes.Structure):
+    """PROCESS_MEMORY_COUNTERS of Windows, of which only the resident size is read."""
+
+    _fields_ = (
+        ("size", ctypes.c_uint32),
+        ("faults", ctypes.c_uint32),
+        ("most", ctypes.c_size_t),
+        ("resident", ctypes.c_size_t),
+        ("others", ctypes.c_size_t * 6),
+    )
+
+
+def _windows_memory_mb() -> float:
+    counters = _MemoryCounters(ctypes.sizeof(_MemoryCounters))
+    kernel = getattr(ctypes, "windll").kernel32  # noqa: B009 - there on Windows alone
+    kernel.GetCurrentProcess.restype = ctypes.c_void_p
+    kernel.K32GetProcessMemoryInfo.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32)
+    kernel.K32GetProcessMemoryInfo(kernel.GetCurrentProcess(), ctypes.byref(counters), counters.size)
+    return counters.resident / 2**20
 
 
 def prepare(settings: SoakSettings) -> tuple[RecordedScene, Pipeline]:
