@@ -1,6 +1,7 @@
 """What is left of run and live when they are killed or the disk is full, and that memory does not grow with frames."""
 
 import itertools
+import os
 import subprocess
 import sys
 import textwrap
@@ -82,6 +83,7 @@ KILLED = """
 """
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes of POSIX")
 def test_after_a_kill_poses_are_there_and_the_next_run_is_right(recording, pipelines, tmp_path):
     script = [sys.executable, "-c", textwrap.dedent(KILLED), str(SUPPORT), str(recording), str(tmp_path)]
     told = subprocess.run(script, check=True, capture_output=True, text=True).stdout.splitlines()

@@ -1,7 +1,5 @@
 """Recordings in MCAP: exact, readable by others, and readable after any death of the writer."""
 
-import resource
-import signal
 import subprocess
 import sys
 import textwrap
@@ -14,6 +12,8 @@ from depth_scene import bands
 
 pytest.importorskip("foxglove")
 pytest.importorskip("zstandard")
+
+from full_disk import files_of_at_most
 
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, look_at
@@ -230,7 +230,7 @@ def test_a_killed_writer_leaves_every_frame_it_reported(tmp_path: Path) -> None:
     last = -1
     while last < 20:
         last = int(process.stdout.readline())
-    process.send_signal(signal.SIGKILL)
+    process.kill()
     last = max([last, *map(int, process.stdout.read().split())])
     process.stdout.close()
     process.wait()
@@ -241,22 +241,15 @@ def test_a_killed_writer_leaves_every_frame_it_reported(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_is_told_and_keeps_what_was_written(tmp_path: Path) -> None:
-    """A limit on the size of files stands for the disk: the system writes what fits, then refuses."""
     path, rig = tmp_path / "rec.mcap", make_rig()
-    old, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     written = 0
-    try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, old[1]))
-        with McapWriter(path, rig, start_ns=START) as writer:
-            with pytest.raises(InputError, match="cannot be written any further"):
-                for i in range(1000):
-                    writer.write("front", START + i * PERIOD, make_frame(rig["front"], i))
-                    written += 1
-            with pytest.raises(InputError, match="any further"):
-                writer.write("front", START, make_frame(rig["front"], 0))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, old)
-        signal.signal(signal.SIGXFSZ, handler)
+    with files_of_at_most(30_000), McapWriter(path, rig, start_ns=START) as writer:
+        with pytest.raises(InputError, match="cannot be written any further"):
+            for i in range(1000):
+                writer.write("front", START + i * PERIOD, make_frame(rig["front"], i))
+                written += 1
+        with pytest.raises(InputError, match="any further"):
+            writer.write("front", START, make_frame(rig["front"], 0))
     assert 5 < written < 30
     recording = McapRecording(path)
     assert len(recording.stamps("front")) == written

@@ -72,6 +72,7 @@ KILLED = """
 """
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes of POSIX")
 def test_a_killed_copy_is_told_of_and_made_anew(folder: Path, tmp_path: Path) -> None:
     """At the rig, the background and a frame, half of which is in its file."""
     copies = [tmp_path / name for name in ("x", "y", "z")]

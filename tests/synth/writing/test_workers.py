@@ -19,6 +19,10 @@ from depthmocap import InputError
 from depthmocap.synth.writing import workers
 from depthmocap.synth.writing.workers import ordered
 
+posix = pytest.mark.skipif(os.name != "posix", reason="needs signals and pipes of POSIX")
+#: Ends a process at once, as Windows does for every signal but two.
+KILL = getattr(signal, "SIGKILL", signal.SIGTERM)
+
 
 def slowest_first(task: int) -> tuple[int, int]:
     time.sleep(0.2 if task == 0 else 0)
@@ -47,7 +51,7 @@ def die_once(folder: Path, task: int) -> int:
             (folder / "died").touch(exist_ok=False)
         except FileExistsError:
             return task
-        os.kill(os.getpid(), signal.SIGKILL)
+        os.kill(os.getpid(), KILL)
     return task
 
 
@@ -69,12 +73,13 @@ def die_sending_once(folder: Path, task: int) -> bytes:
         while sent < min(len(data), size // 2):
             sent += os.write(pipe.fileno(), data[sent : sent + 65536])
         if len(data) >= size:
-            os.kill(os.getpid(), signal.SIGKILL)
+            os.kill(os.getpid(), KILL)
 
     Connection._send = send_half  # type: ignore[attr-defined]
     return bytes(size)
 
 
+@posix
 def test_a_worker_killed_while_it_sends(tmp_path: Path) -> None:
     def too_late(*arguments: object) -> None:
         raise TimeoutError("the rest of the result is waited for")
@@ -159,6 +164,7 @@ def tell_and_sleep(path: str) -> None:
     time.sleep(60)
 
 
+@posix
 def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     script, told = tmp_path / "main.py", tmp_path / "pid"
     script.write_text(ORPHAN.format(tests=str(Path(__file__).parent)))
