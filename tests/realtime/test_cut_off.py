@@ -16,7 +16,7 @@ from rich.console import Console
 from depthmocap.cli import main
 from depthmocap.exporting import read_csv, read_trc
 from depthmocap.exporting.result_files import RESULTS
-from depthmocap.offline.run import run as offline
+from depthmocap.offline import run as offline
 from depthmocap.realtime import live_capture as live
 from depthmocap.realtime import live_command as command
 from depthmocap.recordings.folder import RecordingWriter
@@ -50,7 +50,7 @@ KILLED = """
     sys.path.insert(0, tests)
     from fakes import fake_pipeline
     from depthmocap.core import output
-    from depthmocap.offline.run import run as offline
+    from depthmocap.offline import run as offline
     from depthmocap.cli import main
     from depthmocap.realtime import live_capture as live, live_command as command
 
