@@ -14,7 +14,7 @@ import numpy as np
 from numpy import ndarray
 
 import depthmocap
-from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, NoFrame
+from depthmocap.cameras.source import CameraError, NoFrame
 
 
 class Device:
@@ -47,7 +47,7 @@ class Device:
         self._files.clear()
 
 
-class MyCamera(DepthSource):
+class MyCamera(depthmocap.DepthSource):
     """Opens, reads and closes one device. The name is that of the camera in rig.json."""
 
     def __init__(self, name: str, folder: Path) -> None:
@@ -64,7 +64,7 @@ class MyCamera(DepthSource):
             depth_unit_m=Device.metres_a_step,
         )  # fmt: skip
 
-    def _read(self, timeout_s: float) -> DepthFrame | None:
+    def _read(self, timeout_s: float) -> depthmocap.DepthFrame | None:
         try:
             picture = self._device.wait_for_picture(timeout_s)
         except TimeoutError:
@@ -75,7 +75,7 @@ class MyCamera(DepthSource):
         timestamp_ns, raw = picture
         self._number += 1
         # Frames whose clocks have one name are compared as they are; other clocks are related by arrival times.
-        return DepthFrame(self.name, raw, timestamp_ns, "trigger wire", arrival_ns, self._number)
+        return depthmocap.DepthFrame(self.name, raw, timestamp_ns, "trigger wire", arrival_ns, self._number)
 
     def _close(self) -> None:
         self._device.stop()

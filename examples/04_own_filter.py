@@ -11,7 +11,6 @@ import numpy as np
 import depthmocap
 from depthmocap.smooth.filters import Tracker
 from depthmocap.smooth.kalman import Kalman
-from depthmocap.smooth.pose_filter import PoseFilter
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,10 +20,10 @@ class SpeedLimitSettings:
     most_mps: float = 15.0
 
 
-class SpeedLimit(PoseFilter):
+class SpeedLimit(depthmocap.PoseFilter):
     """A joint that would have had to be too fast since it was last seen is missing; another filter does the rest."""
 
-    def __init__(self, inner: PoseFilter, settings: SpeedLimitSettings = SpeedLimitSettings()) -> None:
+    def __init__(self, inner: depthmocap.PoseFilter, settings: SpeedLimitSettings = SpeedLimitSettings()) -> None:
         self._inner, self._settings = inner, settings
         self.delay_frames = inner.delay_frames
         self.reset()

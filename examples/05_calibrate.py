@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 
 import depthmocap
-from depthmocap.calibration.calibrate import CalibrateSettings, calibrate
 
 
 def main(recording: Path, out: Path) -> None:
     """Write OUT/rig.json and OUT/rig.html, and print how sure every pair of cameras is."""
-    found = calibrate(CalibrateSettings(recording, out / "rig.json"))
+    found = depthmocap.calibrate(depthmocap.CalibrateSettings(recording, out / "rig.json"))
     for pair in found.pairs:
         print(f"{pair.cameras}: {pair.grade}, within {pair.uncertainty_mm:.0f} mm, {pair.uncertainty_deg:.1f}°")
 

@@ -43,3 +43,8 @@ def test_what_is_not_there_is_told() -> None:
     ]
     assert [*checks.wrong_names(text)] == ["there is no depthmocap.Pipe"]
     assert len([*checks.wrong_files(text, ROOT)]) == 2
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_a_page_is_merged(page: Path) -> None:
+    assert not re.search(r"^(<<<<<<<|>>>>>>>) ", page.read_text(encoding="utf-8"), re.MULTILINE)

@@ -84,7 +84,8 @@ class LiveCapture:
             rig: where the cameras stand; by default what the sources know.
             pipeline: what makes poses of sets; by default one is made for the empty scenes. Those that the sources do
                 not know are learnt while it runs.
-            sync, measure_rate: see :class:`Gatherer`.
+            sync: how frames form sets, see :class:`Gatherer`.
+            measure_rate: whether the rate of sets follows the cameras.
             make_pipeline: makes the default one.
             tell: takes a line about what takes long.
         """
@@ -292,7 +293,8 @@ def live(
     Args:
         sources: cameras as ``depthmocap record`` names them, recordings, or opened by yourself.
         rig: where the cameras stand, or its rig.json; recordings know.
-        settings, changes: of the pipeline, see ``load_pipeline``.
+        settings: of the pipeline, by default the usual ones.
+        changes: single settings that differ, as in ``live("recording", smooth="none")``.
 
     Raises:
         InputError: when a source is not what it says, or no camera can be opened.
