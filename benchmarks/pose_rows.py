@@ -25,7 +25,7 @@ from depthmocap.pose.labelled_view import LabelledView
 from depthmocap.pose.parts import body_frame, part_statistics
 from depthmocap.pose.ridge import RidgePose
 from depthmocap.recordings.folder import Recording
-from depthmocap.segment.people_segmenter import PeopleSegmenter, SeenPerson
+from depthmocap.segment.people_segmenter import PeopleSegmenter, PersonMasks
 from depthmocap.smooth.filters import AUTO, load_filter
 from depthmocap.synth.motion.postures import PosturePrior
 from depthmocap.synth.people.bodies import random_dressed
@@ -130,7 +130,7 @@ def segmentation(bench: Bench) -> None:
     view, truth = View(camera, sense(seen.depth_m, seen.material, camera, model, rng)), seen.person
     segmenter, now_ns = PeopleSegmenter({camera.name: background}), 0
 
-    def ours() -> tuple[SeenPerson, ...]:
+    def ours() -> tuple[PersonMasks, ...]:
         nonlocal now_ns
         now_ns += 33_000_000
         return segmenter(FrameSet(now_ns, (view,)))

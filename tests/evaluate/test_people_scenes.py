@@ -7,7 +7,7 @@ from depthmocap.evaluate.encounter import Moment
 from depthmocap.evaluate.people_scenes import Following
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import DepthCamera
-from depthmocap.segment.people_segmenter import PeopleSegmenter, SeenPerson
+from depthmocap.segment.people_segmenter import PeopleSegmenter, PersonMasks
 
 CAMERA = DepthCamera("cam0", 8, 8, 4.0, 4.0, 3.5, 3.5)
 NOBODY = np.zeros((8, 8), np.bool_)
@@ -26,10 +26,10 @@ class ByList(PeopleSegmenter):
         self.numbers, self.index = numbers, 0
         super().__init__({})
 
-    def __call__(self, frames: FrameSet) -> tuple[SeenPerson, ...]:
+    def __call__(self, frames: FrameSet) -> tuple[PersonMasks, ...]:
         numbers = self.numbers[min(self.index, len(self.numbers) - 1)]
         self.index += 1
-        return tuple(SeenPerson(number, (square(k),)) for k, number in enumerate(numbers) if number)
+        return tuple(PersonMasks(number, (square(k),)) for k, number in enumerate(numbers) if number)
 
     def reset(self) -> None:
         super().reset()

@@ -1,14 +1,14 @@
 import numpy as np
 
-from depthmocap.segment.background import FAR_M, NEEDS, Background
+from depthmocap.segment.background import FAR_M, UPDATES_NEEDED, BackgroundModel
 
 SHAPE = (12, 16)
 NOBODY = np.zeros(SHAPE, np.bool_)
 
 
-def looks(background: Background, depth_m, count: int, people=NOBODY, start_s: float = 0.0) -> None:
+def updates(background: BackgroundModel, depth_m, count: int, people=NOBODY, start_s: float = 0.0) -> None:
     for i in range(count):
-        background.look(np.asarray(depth_m, np.float32), people, round((start_s + i * 0.2) * 1e9))
+        background.update(np.asarray(depth_m, np.float32), people, round((start_s + i * 0.2) * 1e9))
 
 
 def full(depth_m: float) -> np.ndarray:
@@ -16,14 +16,14 @@ def full(depth_m: float) -> np.ndarray:
 
 
 def test_what_stays_becomes_the_background_and_people_do_not():
-    background = Background(SHAPE)
+    background = BackgroundModel(SHAPE)
     assert background.learning
     assert (background.limit_m > FAR_M).all()
     person = NOBODY.copy()
     person[:, :4] = True
-    looks(background, full(3.0), NEEDS[0] - 1, person)
+    updates(background, full(3.0), UPDATES_NEEDED[0] - 1, person)
     assert background.learning
-    looks(background, full(3.0), 1, person)
+    updates(background, full(3.0), 1, person)
     assert not background.learning
     assert (background.limit_m[:, :4] > FAR_M).all()
     np.testing.assert_allclose(background.background_m[:, 10:], 3.0)
@@ -31,38 +31,38 @@ def test_what_stays_becomes_the_background_and_people_do_not():
 
 
 def test_a_known_background_drifts_slowly_and_by_jumps_only_after_a_while():
-    background = Background(SHAPE, full(3.0))
+    background = BackgroundModel(SHAPE, full(3.0))
     assert not background.learning
-    looks(background, full(3.02), 200)
+    updates(background, full(3.02), 200)
     np.testing.assert_allclose(background.background_m, 3.02, atol=0.002)
-    looks(background, full(3.5), NEEDS[1] - 1)  # something was taken away
+    updates(background, full(3.5), UPDATES_NEEDED[1] - 1)  # something was taken away
     np.testing.assert_allclose(background.background_m, 3.02, atol=0.002)
-    looks(background, full(3.5), 1)
+    updates(background, full(3.5), 1)
     np.testing.assert_allclose(background.background_m, 3.5)
-    looks(background, full(2.0), NEEDS[2] - 1)  # something was put there
+    updates(background, full(2.0), UPDATES_NEEDED[2] - 1)  # something was put there
     np.testing.assert_allclose(background.background_m, 3.5)
-    looks(background, full(2.0), 1)
+    updates(background, full(2.0), 1)
     np.testing.assert_allclose(background.background_m, 2.0)
 
 
-def test_passing_by_and_lost_pixels_teach_nothing():
-    background = Background(SHAPE, full(3.0))
+def test_people_passing_by_and_lost_pixels_do_not_change_the_background():
+    background = BackgroundModel(SHAPE, full(3.0))
     for i in range(60):  # somebody walks by at changing depth, and half of the frames are lost
-        looks(background, full(0.0 if i % 2 else 1.0 + 0.3 * (i % 5)), 1, start_s=i * 0.2)
+        updates(background, full(0.0 if i % 2 else 1.0 + 0.3 * (i % 5)), 1, start_s=i * 0.2)
     np.testing.assert_allclose(background.background_m, 3.0)
 
 
 def test_where_nothing_is_seen_the_room_is_out_of_range():
-    background = Background(SHAPE)
-    looks(background, full(0.0), NEEDS[0])
+    background = BackgroundModel(SHAPE)
+    updates(background, full(0.0), UPDATES_NEEDED[0])
     assert (background.limit_m == FAR_M).all()
-    assert (Background(SHAPE, full(0.0)).limit_m == FAR_M).all()
+    assert (BackgroundModel(SHAPE, full(0.0)).limit_m == FAR_M).all()
 
 
-def test_looks_are_apart_in_time():
-    background = Background(SHAPE, full(3.0))
+def test_updates_are_apart_in_time():
+    background = BackgroundModel(SHAPE, full(3.0))
     assert background.is_due(0)
-    background.look(full(3.0), NOBODY, 10**9)
+    background.update(full(3.0), NOBODY, 10**9)
     assert not background.is_due(10**9 + 10**8)
     assert background.is_due(10**9 + 2 * 10**8)
     assert background.is_due(0)  # time that went back

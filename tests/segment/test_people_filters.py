@@ -6,7 +6,7 @@ from depthmocap.classify.classifier import Found
 from depthmocap.frames import FrameSet, Pose, View
 from depthmocap.geometry import DepthCamera
 from depthmocap.offline.pipeline import Pipeline
-from depthmocap.segment.people_segmenter import SeenPerson
+from depthmocap.segment.people_segmenter import PersonMasks
 from depthmocap.smooth.fixed_lag import FixedLag, FixedLagSettings
 from depthmocap.smooth.pose_filter import FORGET_S
 
@@ -20,8 +20,8 @@ class Numbers:
     people = 2
     present: tuple[int, ...] = ()
 
-    def __call__(self, frames: FrameSet) -> tuple[SeenPerson, ...]:
-        return tuple(SeenPerson(number, (np.ones((3, 4), bool),)) for number in self.present)
+    def __call__(self, frames: FrameSet) -> tuple[PersonMasks, ...]:
+        return tuple(PersonMasks(number, (np.ones((3, 4), bool),)) for number in self.present)
 
     def reset(self) -> None:
         pass

@@ -42,7 +42,7 @@ class Scene:
     def noisy(self, depth_m: np.ndarray) -> np.ndarray:
         return (depth_m + self.rng.normal(0, 0.004, depth_m.shape)).astype(np.float32)
 
-    def look(self, index: int, *people: tuple[Box, ...], things: tuple[Box, ...] = ()):
+    def render(self, index: int, *people: tuple[Box, ...], things: tuple[Box, ...] = ()):
         """A set at an instant, and each person's true masks."""
         views, masks = [], [[] for _ in people]
         for camera, room_m in zip(self.cameras, self.rooms, strict=True):
@@ -80,7 +80,7 @@ def test_two_cross_close_by_and_keep_their_numbers(scene):
     overlaps = []
     for i in range(30):
         x = -1.5 + 0.1 * i
-        frames, masks = scene.look(i, body(x, -0.2), body(-x, 0.3, 1.6))  # 26 cm between the trunks
+        frames, masks = scene.render(i, body(x, -0.2), body(-x, 0.3, 1.6))  # 26 cm between the trunks
         first, second = sorted(segment(frames), key=lambda person: person.number)
         assert (first.number, second.number) == (1, 2)
         # Who is first in the first set is open.
@@ -95,7 +95,7 @@ def test_one_who_is_touched_is_divided_from_the_other(scene):
     segment = PeopleSegmenter(scene.backgrounds, people=2)
     for i in range(24):
         gap = max(1.6 - 0.1 * i, 0.65)  # an arm of 0.3 m reaches the other's trunk in the end
-        frames, masks = scene.look(i, body(-gap / 2, 0.0, reach=0.3), body(gap / 2, 0.0))
+        frames, masks = scene.render(i, body(-gap / 2, 0.0, reach=0.3), body(gap / 2, 0.0))
         people = segment(frames)
     assert len(people) == 2
     for own in people:
@@ -105,9 +105,9 @@ def test_one_who_is_touched_is_divided_from_the_other(scene):
 def test_one_is_followed_and_another_does_not_spoil_it(scene):
     segment = PeopleSegmenter(scene.backgrounds)
     for i in range(20):
-        frames, masks = scene.look(i, body(0.0, 0.1 + 0.01 * i, 1.6), body(2.0 - 0.1 * i, -0.9, 1.9))
+        frames, masks = scene.render(i, body(0.0, 0.1 + 0.01 * i, 1.6), body(2.0 - 0.1 * i, -0.9, 1.9))
         if i < 2:
-            frames, masks = scene.look(i, body(0.0, 0.1, 1.6))
+            frames, masks = scene.render(i, body(0.0, 0.1, 1.6))
         people = segment(frames)
         assert [person.number for person in people] == [1]
         assert overlap(people[0].masks, masks[0]) > 0.8
@@ -118,12 +118,12 @@ def test_who_goes_is_known_again_by_their_height_and_others_are_not(scene):
     i, seen = 0, []
     for heights in [(1.75,), (), (1.5,), (), (1.75,)]:
         for _ in range(14):
-            people = segment(scene.look(i, *(body(-0.8, 0.5, height) for height in heights))[0])
+            people = segment(scene.render(i, *(body(-0.8, 0.5, height) for height in heights))[0])
             i += 1
         seen.append([person.number for person in people])
     assert seen == [[1], [], [2], [], [1]]
     segment.reset()
-    assert segment(scene.look(0)[0]) == ()
+    assert segment(scene.render(0)[0]) == ()
 
 
 @pytest.mark.parametrize(("heights", "number"), [((1.6, 1.75), 2), ((1.77, 1.775), 3)])
@@ -132,11 +132,11 @@ def test_of_several_who_are_away_only_one_who_is_clearly_most_alike_is_taken(sce
     for i in range(12):
         # The shorter one comes first, so that the numbers are in the order of height.
         here = [body(x, 0.3, height) for x, height in zip((-0.8, 0.8), heights, strict=True)][: 1 + (i > 2)]
-        assert len(segment(scene.look(i, *here)[0])) == len(here)
+        assert len(segment(scene.render(i, *here)[0])) == len(here)
     for i in range(12, 24):
-        segment(scene.look(i)[0])
+        segment(scene.render(i)[0])
     for i in range(24, 34):
-        people = segment(scene.look(i, body(0.0, 0.3, heights[1]))[0])
+        people = segment(scene.render(i, body(0.0, 0.3, heights[1]))[0])
     assert [person.number for person in people] == [number]
 
 
@@ -144,16 +144,16 @@ def test_without_a_background_somebody_is_found_at_once_and_the_room_is_learnt(s
     segment = PeopleSegmenter({})
     found = []
     for i in range(30):
-        frames, masks = scene.look(i, body(-0.6 + 0.02 * i, 0.0))
+        frames, masks = scene.render(i, body(-0.6 + 0.02 * i, 0.0))
         people = segment(frames)
         found.append(bool(people) and overlap(people[0].masks, masks[0]) > 0.8)
     assert all(found[4:])
     # Where they stood at first is known as well once they have gone.
     for i in range(30, 60):
-        people = segment(scene.look(i)[0])
+        people = segment(scene.render(i)[0])
     assert people == ()
     for i in range(60, 68):  # measured first, because somebody is away
-        frames, masks = scene.look(i, body(-0.6, 0.3))
+        frames, masks = scene.render(i, body(-0.6, 0.3))
         people = segment(frames)
     assert overlap(people[0].masks, masks[0]) > 0.8
 
@@ -162,11 +162,11 @@ def test_one_who_stands_at_furniture_when_it_begins_is_found_and_the_furniture_i
     sideboard = (Box((-0.9, 0.3, 0.0), (0.9, 0.8, 0.85)), Box((0.6, 0.4, 0.85), (0.8, 0.6, 1.0)))
     segment, empty = PeopleSegmenter({}, people=3), PeopleSegmenter({}, people=3)
     for i in range(40):
-        frames, masks = scene.look(i, body(0.0, 0.15), things=sideboard)
+        frames, masks = scene.render(i, body(0.0, 0.15), things=sideboard)
         people = segment(frames)
         if i > 4:
             assert [person.number for person in people] == [1]
-        assert empty(scene.look(i, things=sideboard)[0]) == ()
+        assert empty(scene.render(i, things=sideboard)[0]) == ()
     assert overlap(people[0].masks, masks[0]) > 0.75
 
 
@@ -174,12 +174,12 @@ def test_a_chair_is_nobody_and_becomes_background(scene):
     segment = PeopleSegmenter(scene.backgrounds, people=2)
     chair = (Box((0.8, -0.9, 0.0), (1.25, -0.45, 0.9)),)
     for i in range(10):
-        segment(scene.look(i, body(-0.8, 0.5))[0])
+        segment(scene.render(i, body(-0.8, 0.5))[0])
     for i in range(10, 70):
-        people = segment(scene.look(i, body(-0.8 + 0.01 * i, 0.5), things=chair)[0])
+        people = segment(scene.render(i, body(-0.8 + 0.01 * i, 0.5), things=chair)[0])
         assert [person.number for person in people] == [1]
     # Beside the chair that is background now, a person's mask is the person.
-    frames, masks = scene.look(70, body(0.3, 0.0), things=chair)
+    frames, masks = scene.render(70, body(0.3, 0.0), things=chair)
     assert overlap(segment(frames)[0].masks, masks[0]) > 0.8
 
 
@@ -187,7 +187,7 @@ def test_a_camera_that_joins_later_is_used_from_its_first_set(scene):
     names = [camera.name for camera in scene.cameras]
     segment = PeopleSegmenter({name: scene.backgrounds[name] for name in names[:2]})
     for i in range(12):
-        frames, masks = scene.look(i, body(0.02 * i, 0.0))
+        frames, masks = scene.render(i, body(0.02 * i, 0.0))
         views = frames.views if i >= 5 else frames.views[:2]
         people = segment(FrameSet(frames.timestamp_ns, views))
         assert overlap(people[0].masks, masks[0][: len(views)]) > 0.8
@@ -195,7 +195,7 @@ def test_a_camera_that_joins_later_is_used_from_its_first_set(scene):
 
 
 def test_masks_that_views_bring_and_mode_none(scene):
-    frames, masks = scene.look(0, body(0.0, 0.0))
+    frames, masks = scene.render(0, body(0.0, 0.0))
     given = FrameSet(0, tuple(View(v.camera, v.depth_m, mask) for v, mask in zip(frames.views, masks[0], strict=True)))
     (person,) = PeopleSegmenter({})(given)
     assert all(found is true for found, true in zip(person.masks, masks[0], strict=True))
@@ -210,4 +210,4 @@ def test_bad_input_is_refused(scene):
     with pytest.raises(InputError, match="--people"):
         PeopleSegmenter({}, people=0)
     with pytest.raises(InputError, match="background"):
-        PeopleSegmenter({"cam0": np.ones((4, 4), np.float32)})(scene.look(0)[0])
+        PeopleSegmenter({"cam0": np.ones((4, 4), np.float32)})(scene.render(0)[0])

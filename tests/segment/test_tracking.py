@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from depthmocap.segment.occupancy_map import CELL_M, Blobs
-from depthmocap.segment.tracking import Tracks
+from depthmocap.segment.tracking import PeopleTracker
 
 #: Sets a second.
 RATE = 6
@@ -20,15 +20,15 @@ def blob(x: float, top: float, rng: np.random.Generator, noise_m: float = 0.0) -
 
 def follow(make, seconds: float, learning_s: float = 0.0) -> list[tuple[int, ...]]:
     """The numbers of everybody who is a person, set by set; ``make`` gives the blobs of a time, or None."""
-    tracks, seen = Tracks(), []
+    tracker, seen = PeopleTracker(), []
     nothing = Blobs(np.zeros((100, 100), np.int32), *(np.zeros(shape) for shape in (0, (0, 2), (0, 2), 0, 0)))
     for i in range(round(seconds * RATE)):
         now_s = i / RATE
         blobs = make(now_s) or nothing
-        tracks.expect(now_s)
-        owner, _ = tracks.assign(blobs, now_s)
-        tracks.update(owner, blobs, {}, now_s < learning_s, lambda place, height: True, now_s)
-        seen.append(tuple(track.number for track in tracks.alive if track.number))
+        tracker.predict(now_s)
+        owner, _ = tracker.assign(blobs, now_s)
+        tracker.update(owner, blobs, {}, now_s < learning_s, lambda place, height: True, now_s)
+        seen.append(tuple(track.number for track in tracker.active if track.number))
     return seen
 
 

@@ -26,7 +26,7 @@ def recording(tmp_path_factory):
     with RecordingWriter(path, Rig(tuple(scene.cameras)), backgrounds) as writer:
         for i in range(SETS):
             bodies = [body(-0.8, 0.02 * i), body(0.9, 0.05 * i, 1.6)]
-            frames, _ = scene.look(i, *bodies[: 1 if i < COMES else 2])
+            frames, _ = scene.render(i, *bodies[: 1 if i < COMES else 2])
             raw = {view.camera.name: np.round(view.depth_m * 1000).astype(np.uint16) for view in frames.views}
             writer.write(START_NS + i * 10**9 // RATE, raw)
     return path

@@ -29,7 +29,7 @@ from depthmocap.evaluate.scenarios import Beside, Empty, Meeting, Story, Visits
 from depthmocap.frames import FrameSet
 from depthmocap.offline.pipeline import Pipeline, Segmenter
 from depthmocap.pose.estimators import load_estimator
-from depthmocap.segment.people_segmenter import PeopleSegmenter, SeenPerson
+from depthmocap.segment.people_segmenter import PeopleSegmenter, PersonMasks
 from depthmocap.segment.static_scene import PersonSegmenter
 from depthmocap.segment.tracking import GONE_S
 
@@ -83,8 +83,8 @@ class _EachView:
     def __init__(self, segmenter: PersonSegmenter) -> None:
         self._segmenter, self.problems = segmenter, segmenter.problems
 
-    def __call__(self, frames: FrameSet) -> tuple[SeenPerson, ...]:
-        return (SeenPerson(1, tuple(self._segmenter(view) for view in frames.views)),)
+    def __call__(self, frames: FrameSet) -> tuple[PersonMasks, ...]:
+        return (PersonMasks(1, tuple(self._segmenter(view) for view in frames.views)),)
 
     def reset(self) -> None:
         """Nothing is remembered."""
@@ -98,10 +98,10 @@ class _True:
     def __init__(self) -> None:
         self.problems: list[str] = []
 
-    def __call__(self, frames: FrameSet) -> tuple[SeenPerson, ...]:
+    def __call__(self, frames: FrameSet) -> tuple[PersonMasks, ...]:
         masks = [view.mask for view in frames.views]
         assert all(mask is not None for mask in masks)
-        return (SeenPerson(1, tuple(mask for mask in masks if mask is not None)),)
+        return (PersonMasks(1, tuple(mask for mask in masks if mask is not None)),)
 
     def reset(self) -> None:
         """Nothing is remembered."""

@@ -1,4 +1,4 @@
-"""What stands before the background, as columns of a plan of the room; the background itself; and who is who."""
+"""Foreground as columns of an occupancy map, the labels of people in it, and the update of the background."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 @numba.njit(cache=True, nogil=True)
 def find_candidates(depth_m, limit_m, out):
-    """``out`` 1 where there is depth nearer than the limit, else 0; their number."""
+    """Set ``out`` to 1 where the depth is valid and below the limit, else to 0; the number of ones."""
     count = 0
     for v in range(depth_m.shape[0]):
         for u in range(depth_m.shape[1]):
@@ -20,21 +20,25 @@ def find_candidates(depth_m, limit_m, out):
 
 @numba.njit(cache=True, nogil=True)
 def place_candidates(
-    candidate, depth_m, limit_m, rays, intrinsics, plan_from_camera, plan, fewest, flying_m, far_m, pixels, columns,
-    levels, sure,
+    candidate, depth_m, limit_m, rays, intrinsics, map_from_camera, grid, fewest, flying_m, far_m, pixels, columns,
+    levels, certain,
 ):  # fmt: skip
-    """Candidates that are no noise: their pixels, their columns and levels of the plan, and whether they are surely
-    before something; their number.
+    """Write the pixels, columns and levels of all candidates that are not noise, and whether each is certainly in front
+    of something; their number.
 
-    A pixel counts with ``fewest`` candidates in its 3×3, unless it hangs ``flying_m`` behind one and before another of
-    its neighbours. ``plan`` is (columns in x, columns in y, levels, cell in metres, lowest height, least height of what
-    has no background, which is a limit of ``far_m``; where it is not known yet the limit is larger).
-    ``plan_from_camera`` has the origin at a corner, z = 0 the floor.
+    A pixel counts if its 3×3 holds ``fewest`` candidates, unless it is ``flying_m`` behind one of its neighbours and in
+    front of another.
+
+    Args:
+        limit_m: foreground limit (metres): ``far_m`` where the background is out of range, more where it is unknown.
+        map_from_camera: 4×4; the map has its origin at a corner and the floor at z = 0.
+        grid: columns in x, columns in y, levels, size of a cell, lowest height, least height of a pixel without a
+            background (metres).
     """
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
-    nx, ny, nz, cell_m, lowest_m, clear_m = plan
-    r, found = plan_from_camera, 0
+    nx, ny, nz, cell_m, lowest_m, clear_m = grid
+    r, kept = map_from_camera, 0
     for v in range(height):
         for u in range(width):
             if not candidate[v, u]:
@@ -60,20 +64,20 @@ def place_candidates(
             east = (r[0, 0] * a + r[0, 1] * b + r[0, 2] * z + r[0, 3]) / cell_m
             north = (r[1, 0] * a + r[1, 1] * b + r[1, 2] * z + r[1, 3]) / cell_m
             level = (up_m - lowest_m) / cell_m
-            # Comparisons with NaN, of rays that the lens model does not give, are false.
+            # NaN, from rays that the lens model does not define, fails these comparisons.
             if not (0 <= east < nx and 0 <= north < ny and 0 <= level < nz):
                 continue
-            pixels[found] = v * width + u
-            columns[found] = int(north) * nx + int(east)
-            levels[found] = int(level)
-            sure[found] = limit_m[v, u] <= far_m
-            found += 1
-    return found
+            pixels[kept] = v * width + u
+            columns[kept] = int(north) * nx + int(east)
+            levels[kept] = int(level)
+            certain[kept] = limit_m[v, u] <= far_m
+            kept += 1
+    return kept
 
 
 @numba.njit(cache=True, nogil=True)
 def add_area(depth_m, pixels, columns, pixel_m2, out):
-    """Add the surface (m²) that pixels show to their columns; ``pixel_m2`` is that of one at a metre."""
+    """Add the surface (m²) of pixels to their columns; ``pixel_m2`` is the surface of a pixel at a metre."""
     flat = depth_m.ravel()
     for i in range(len(pixels)):
         z = flat[pixels[i]]
@@ -82,7 +86,7 @@ def add_area(depth_m, pixels, columns, pixel_m2, out):
 
 @numba.njit(cache=True, nogil=True)
 def _measure(owner, area, column, level, nx, areas, profiles):
-    """Add the surface of one pixel to what is known of its owner."""
+    """Add the surface of one pixel to the sums of its owner."""
     areas[owner, 0] += area
     areas[owner, 1] += area * (column % nx + 0.5)
     areas[owner, 2] += area * (column // nx + 0.5)
@@ -91,7 +95,7 @@ def _measure(owner, area, column, level, nx, areas, profiles):
 
 @numba.njit(cache=True, nogil=True)
 def measure_blobs(depth_m, pixels, columns, levels, pixel_m2, blobs, nx, areas, profiles):
-    """Add surface to the blob of each column: ``areas`` (blob; m², times x, times y) and ``profiles`` (blob, level)."""
+    """Add the surface of pixels to their blobs: ``areas`` (blob; m², m² · x, m² · y) and ``profiles`` (blob, level)."""
     flat = depth_m.ravel()
     for i in range(len(pixels)):
         column = columns[i]
@@ -102,11 +106,11 @@ def measure_blobs(depth_m, pixels, columns, levels, pixel_m2, blobs, nx, areas, 
 
 
 @numba.njit(cache=True, nogil=True)
-def mark_voxels(columns, levels, labels, wanted, columns_count, volume, voxels, count):
-    """Voxels (level · columns + column) of the points whose label is ``wanted``, each once, into ``voxels`` from
-    ``count``; they become 255 in ``volume``, which must be 0 before. Their number."""
+def mark_voxels(columns, levels, labels, label, columns_count, volume, voxels, count):
+    """Append the voxels (level · columns + column) of the points with the label, each once, to the first ``count`` of
+    ``voxels``, and set them to 255 in ``volume``, where they must be 0 before; the new count."""
     for i in range(len(columns)):
-        if labels[columns[i]] == wanted:
+        if labels[columns[i]] == label:
             voxel = levels[i] * columns_count + columns[i]
             if volume[voxel] == 0:
                 volume[voxel] = 255
@@ -117,20 +121,21 @@ def mark_voxels(columns, levels, labels, wanted, columns_count, volume, voxels, 
 
 @numba.njit(cache=True, nogil=True)
 def divide_voxels(voxels, volume, before, shape, people, core, far, queue):
-    """Who each voxel of a blob belongs to, written into ``volume``, where they are 255.
+    """Write the label of the person whom each voxel of a blob belongs to into ``volume``, where the voxels are 255.
 
-    A person keeps the voxels it had ``before`` (a volume as well), moved by as much as it is expected to have moved,
-    and those in its core. What is new goes to whom it hangs together with, by the fewest voxels between; the rest, and
-    what is ``far`` from its owner, to the nearest.
+    A person keeps the voxels that they had in the volume ``before``, shifted by their predicted movement, and those in
+    their core. A new voxel goes to the person it is connected to by the fewest voxels. The rest, and voxels ``far``
+    from their person, go to the nearest person.
 
     Args:
         shape: columns in x and y, levels.
-        people: rows of label, expected middle x, y (in columns), expected movement x, y since before (whole columns).
-        core: radius (in columns) of what is a person's own.
-        queue: room for all voxels.
+        people: rows of label, predicted centre x, y (in columns), predicted movement x, y since ``before`` (whole
+            columns).
+        core, far: radii in columns.
+        queue: buffer as long as ``voxels``.
     """
     nx, ny, nz = shape
-    head = tail = 0
+    next_index = queue_length = 0
     for voxel in voxels:
         level, column = voxel // (nx * ny), voxel % (nx * ny)
         x, y = column % nx, column // nx
@@ -148,11 +153,11 @@ def divide_voxels(voxels, volume, before, shape, people, core, far, queue):
                     owner, best = int(label), distance
         if claims:
             volume[voxel] = owner
-            queue[tail] = voxel
-            tail += 1
-    while head < tail:
-        voxel = queue[head]
-        head += 1
+            queue[queue_length] = voxel
+            queue_length += 1
+    while next_index < queue_length:
+        voxel = queue[next_index]
+        next_index += 1
         level, column = voxel // (nx * ny), voxel % (nx * ny)
         x, y = column % nx, column // nx
         for dz in range(-1, 2):
@@ -163,25 +168,25 @@ def divide_voxels(voxels, volume, before, shape, people, core, far, queue):
                     other = voxel + dz * nx * ny + dy * nx + dx
                     if volume[other] == 255:
                         volume[other] = volume[voxel]
-                        queue[tail] = other
-                        tail += 1
+                        queue[queue_length] = other
+                        queue_length += 1
     for voxel in voxels:
         column = voxel % (nx * ny)
         x, y = column % nx, column // nx
-        own, nearest, least = np.inf, 0, np.inf
+        own_distance, nearest, least = np.inf, 0, np.inf
         for k in range(len(people)):
             distance = np.sqrt((x + 0.5 - people[k, 1]) ** 2 + (y + 0.5 - people[k, 2]) ** 2)
             if distance < least:
                 nearest, least = int(people[k, 0]), distance
             if people[k, 0] == volume[voxel]:
-                own = distance
-        if own > far:  # of nobody, or hardly this person's
+                own_distance = distance
+        if own_distance > far:  # without an owner, or far from them
             volume[voxel] = nearest
 
 
 @numba.njit(cache=True, nogil=True)
 def measure_divided(depth_m, pixels, columns, levels, pixel_m2, blobs, blob, volume, nx, areas, profiles):
-    """As ``measure_blobs``, of the owners that the volume tells in one blob."""
+    """As ``measure_blobs``, for the people who share one blob: the volume holds their labels."""
     flat = depth_m.ravel()
     for i in range(len(pixels)):
         column = columns[i]
@@ -193,7 +198,7 @@ def measure_divided(depth_m, pixels, columns, levels, pixel_m2, blobs, blob, vol
 
 @numba.njit(cache=True, nogil=True)
 def fill_volume(columns, levels, owners, volume):
-    """Write the owners of columns into the voxels that have points, but for columns that the volume divides (255)."""
+    """Write the owners of columns into the voxels that have points, except in columns that the volume divides (255)."""
     for i in range(len(columns)):
         owner = owners[columns[i]]
         if owner and owner != 255:
@@ -201,8 +206,8 @@ def fill_volume(columns, levels, owners, volume):
 
 
 @numba.njit(cache=True, nogil=True)
-def paint(pixels, columns, levels, owners, volume, out):
-    """Each pixel's owner into the flat picture ``out``: of its column, or of its voxel where that says 255."""
+def paint_labels(pixels, columns, levels, owners, volume, out):
+    """Write each pixel's owner into the flat image ``out``: its column's, or its voxel's where the column says 255."""
     for i in range(len(pixels)):
         owner = owners[columns[i]]
         if owner == 255:
@@ -211,15 +216,20 @@ def paint(pixels, columns, levels, owners, volume, out):
 
 
 @numba.njit(cache=True, nogil=True)
-def follow_background(depth_m, occupied, background_m, empty, other_m, age, needs, margin_m, margin_per_m, rate):
-    """One look at the scene: known backgrounds move towards what is seen near them by the share ``rate``; another depth
-    that was seen often enough takes their place.
+def update_background(depth_m, occupied, background_m, empty, candidate_m, age, needed, margin_m, margin_per_m, rate):
+    """Update a background model from one frame.
 
-    ``other_m`` is what is seen instead, ``age`` for how many looks. ``needs`` is how many make a background where none
-    is known, where it is farther than the known one, and where it is nearer. ``occupied`` pixels are people's: nothing
-    is learnt there. Where nothing is seen for as long as makes a background, there is none: ``empty`` becomes 1.
+    A background moves towards a depth within its margin by the share ``rate``. Another depth replaces it after enough
+    updates that agree.
+
+    Args:
+        occupied: pixels of people: not updated.
+        empty: set to 1 where no depth was measured for as many updates as make a new background: out of range.
+        candidate_m, age: the depth that may replace the background, and the number of updates that agree on it.
+        needed: updates that make a background where none is known, where it is farther than the known one, and where it
+            is nearer.
     """
-    new, farther, nearer = needs
+    new, farther, nearer = needed
     for v in range(depth_m.shape[0]):
         for u in range(depth_m.shape[1]):
             z = depth_m[v, u]
@@ -229,8 +239,8 @@ def follow_background(depth_m, occupied, background_m, empty, other_m, age, need
             known = background_m[v, u]
             if not z > 0:
                 if not known > 0:
-                    age[v, u] = age[v, u] + 1 if other_m[v, u] == 0 else 1
-                    other_m[v, u] = 0
+                    age[v, u] = age[v, u] + 1 if candidate_m[v, u] == 0 else 1
+                    candidate_m[v, u] = 0
                     if age[v, u] >= new:
                         empty[v, u] = 1
                         age[v, u] = 0
@@ -240,13 +250,13 @@ def follow_background(depth_m, occupied, background_m, empty, other_m, age, need
                 background_m[v, u] = known + rate * (z - known)
                 age[v, u] = 0
                 continue
-            if age[v, u] and abs(z - other_m[v, u]) <= margin:
+            if age[v, u] and abs(z - candidate_m[v, u]) <= margin:
                 age[v, u] = min(age[v, u] + 1, 250)
-                other_m[v, u] += (z - other_m[v, u]) / min(age[v, u], 8)
+                candidate_m[v, u] += (z - candidate_m[v, u]) / min(age[v, u], 8)
             else:
-                other_m[v, u] = z
+                candidate_m[v, u] = z
                 age[v, u] = 1
-            need = new if not known > 0 else (farther if z > known else nearer)
-            if age[v, u] >= need:
-                background_m[v, u] = other_m[v, u]
+            required = new if not known > 0 else (farther if z > known else nearer)
+            if age[v, u] >= required:
+                background_m[v, u] = candidate_m[v, u]
                 age[v, u] = 0

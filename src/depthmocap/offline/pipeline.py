@@ -20,7 +20,7 @@ from depthmocap.frames import FrameSet, Pose
 from depthmocap.pose.cloud import LabelledCloud, merge_views
 from depthmocap.pose.estimators import JointEstimator
 from depthmocap.pose.labelled_view import LabelledView
-from depthmocap.segment.people_segmenter import SeenPerson
+from depthmocap.segment.people_segmenter import PersonMasks
 from depthmocap.smooth.pose_filter import FORGET_S, PoseFilter
 
 STAGES = ("segment", "label", "merge", "joints", "smooth")
@@ -37,7 +37,7 @@ class Segmenter(Protocol):
     people: int
     problems: list[str]
 
-    def __call__(self, frames: FrameSet) -> tuple[SeenPerson, ...]: ...
+    def __call__(self, frames: FrameSet) -> tuple[PersonMasks, ...]: ...
 
     def reset(self) -> None:
         """Forget who was there."""

@@ -1,1 +1,1 @@
-"""People in a room that several cameras see: what is not background, in clusters, followed over time."""
+"""Segmentation and tracking of people in a room that several static cameras see."""

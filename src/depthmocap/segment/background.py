@@ -1,4 +1,4 @@
-"""The empty scene before a camera that stands still: estimated from frames, and followed while it changes."""
+"""Background model of a static camera: the empty scene's depth, estimated from frames and updated while it changes."""
 
 from __future__ import annotations
 
@@ -9,29 +9,36 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from depthmocap.kernels.segmentation import follow_background
+from depthmocap.kernels.segmentation import update_background
 
-#: The share of a pixel's depths that are nearer than its background; the rest outvote stray far readings.
+#: Quantile of a pixel's depths that is its background: high, as people are nearer, but not 1, because of far outliers.
 FAR_QUANTILE = 0.88
-#: A pixel has a background if it is valid in most frames, or if this share of frames agrees on a depth; otherwise the
-#: room is out of range there, and what returns light is passing by.
-MOSTLY_VALID, LEAST_AGREED = 0.7, 0.3
-#: A person is nearer than the background by this, and by the noise of depth, which grows with its square.
-MARGIN_M, MARGIN_PER_M = 0.04, 0.004
-#: The limit where no background is known (metres): everything is before it.
+#: A pixel that is valid in this share of the frames has a background.
+MOSTLY_VALID = 0.7
+#: So has a pixel where this share of the frames agrees on a depth. Other pixels show people in front of a room that is
+#: out of range.
+LEAST_AGREED = 0.3
+#: A person is nearer than the background by at least this (metres)
+MARGIN_M = 0.04
+#: plus this times the squared depth (1/metres), as depth noise grows.
+MARGIN_PER_M = 0.004
+#: The foreground limit (metres) where no background is known: every depth is in front of it.
 FAR_M = np.float32(1e6)
-#: The background is looked at so often (s); with every look it moves this share of the way to what is seen.
-LOOK_S, RATE = 0.2, 0.03
-#: So many looks that agree make a background: where none was known, farther than the known one, nearer than it.
-NEEDS = (5, 8, 20)
-#: A background is learnt when this share of the room's pixels is known.
-LEARNT = 0.5
-#: People's pixels, and those so near to them in the picture (pixels), tell nothing about the background.
-NEAR_PEOPLE = 4
+#: Time between updates of the background (seconds).
+UPDATE_PERIOD_S = 0.2
+#: Share of the difference to a measured depth by which an update moves the background: follows drift, ignores noise.
+DRIFT_SHARE = 0.03
+#: Updates that must agree on a new background depth: where none is known, where it is farther, and where it is nearer
+#: than the known one. Nearer takes longest, because it may be a person who stands still.
+UPDATES_NEEDED = (5, 8, 20)
+#: Share of the room's pixels with a known background from which a model counts as learnt.
+LEARNT_SHARE = 0.5
+#: Pixels this near to a person's pixels (pixels) do not update the background: silhouettes are noisy.
+PEOPLE_MARGIN_PX = 4
 
 
 def estimate_background(samples_m: Sequence[Float[ndarray, "_ _"]]) -> Float[ndarray, "h w"]:
-    """Empty scene (metres, float32, 0 = not known) from frames of one size with a person moving in them.
+    """Empty scene (metres, float32, 0 = unknown) from frames of one size in which a person moves.
 
     Per pixel: the far quantile of its valid depths, then the mean of all depths that agree with it.
     """
@@ -54,61 +61,68 @@ def _margin_m(depth_m: Float[ndarray, "*shape"]) -> Float[ndarray, "*shape"]:
     return MARGIN_M + MARGIN_PER_M * depth_m * depth_m
 
 
-def limit_m(background_m: Float[ndarray, "h w"]) -> Float[ndarray, "h w"]:
-    """Depth below which a pixel is in front of the background; anything where the background is not known."""
+def foreground_limit(background_m: Float[ndarray, "h w"]) -> Float[ndarray, "h w"]:
+    """Depth (metres) below which a pixel is foreground; ``FAR_M`` where the background is unknown."""
     known = np.where(background_m > 0, background_m, FAR_M).astype(np.float32)
-    # Pinholes take the nearest depth around them, or they would be specks of foreground in every frame.
+    # Pinholes take the nearest depth around them. Otherwise they would be specks of foreground in every frame.
     filled = np.where(known < FAR_M, known, cv2.erode(known, np.ones((5, 5), np.uint8)))
     return np.where(filled < FAR_M, filled - _margin_m(filled), FAR_M).astype(np.float32)
 
 
-class Background:
+class BackgroundModel:
     """One camera's empty scene over time.
 
     Attributes:
-        limit_m: depth below which a pixel is in front of it; ``FAR_M`` where the room is out of range, and more where
-            nothing is known yet.
-        learning: whether hardly anything is known yet of what stands still.
+        background_m: (h, w) depth of the empty scene (metres), 0 where it is unknown.
+        limit_m: (h, w) depth (metres) below which a pixel is foreground; ``FAR_M`` where the room is out of range,
+            twice that where nothing is known yet.
+        learning: whether less than ``LEARNT_SHARE`` of the room is known.
     """
 
     def __init__(self, shape: tuple[int, int], background_m: Float[ndarray, "h w"] | None = None) -> None:
-        """Begin with a known empty scene, or with none: then whatever stays where it is becomes the background."""
-        known = np.zeros(shape) if background_m is None else background_m
-        self.background_m = known.astype(np.float32)
-        self._empty = (self.background_m == 0).astype(np.uint8)
+        """Start from a known empty scene, or from none: then whatever does not move becomes the background."""
+        self.background_m = (np.zeros(shape) if background_m is None else background_m).astype(np.float32)
+        self._out_of_range = (self.background_m == 0).astype(np.uint8)
         if background_m is None:
-            self._empty[:] = 0
+            self._out_of_range[:] = 0
         self.limit_m = self._limit_m()
-        self._other_m = np.zeros(shape, np.float32)
-        self._age = np.zeros(shape, np.uint8)
+        self._candidate_m = np.zeros(shape, np.float32)
+        self._candidate_updates = np.zeros(shape, np.uint8)
         self.learning = background_m is None
-        self._looked_ns: int | None = None
+        self._updated_ns: int | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of the pictures."""
+        """Rows and columns of the depth images."""
         rows, columns = self.limit_m.shape
         return rows, columns
 
     def is_due(self, timestamp_ns: int) -> bool:
-        """Whether it is time for another look. Time that goes back begins anew."""
-        return self._looked_ns is None or not 0 <= timestamp_ns - self._looked_ns < LOOK_S * 1e9
+        """Whether it is time for an update. A timestamp before the last one makes it due at once."""
+        return self._updated_ns is None or not 0 <= timestamp_ns - self._updated_ns < UPDATE_PERIOD_S * 1e9
 
-    def look(self, depth_m: Float[ndarray, "h w"], people: Bool[ndarray, "h w"], timestamp_ns: int) -> None:
-        """Learn from a frame in which these pixels are people's."""
-        self._looked_ns = timestamp_ns
-        size = 2 * NEAR_PEOPLE + 1
+    def update(self, depth_m: Float[ndarray, "h w"], people: Bool[ndarray, "h w"], timestamp_ns: int) -> None:
+        """Update from a frame.
+
+        Args:
+            depth_m: depth (metres), 0 where invalid.
+            people: mask of all people; the background is not updated there.
+            timestamp_ns: of the frame.
+        """
+        self._updated_ns = timestamp_ns
+        size = 2 * PEOPLE_MARGIN_PX + 1
         occupied = cv2.dilate(people.view(np.uint8), np.ones((size, size), np.uint8))
-        follow_background(
-            depth_m, occupied, self.background_m, self._empty, self._other_m, self._age, NEEDS, MARGIN_M, MARGIN_PER_M,
-            RATE,
+        update_background(
+            depth_m, occupied, self.background_m, self._out_of_range, self._candidate_m, self._candidate_updates,
+            UPDATES_NEEDED, MARGIN_M, MARGIN_PER_M, DRIFT_SHARE,
         )  # fmt: skip
         self.limit_m = self._limit_m()
         if self.learning:
             room = (depth_m > 0) & (occupied == 0)
-            self.learning = bool(np.count_nonzero(room & (self.background_m > 0)) < LEARNT * np.count_nonzero(room))
+            known = np.count_nonzero(room & (self.background_m > 0))
+            self.learning = bool(known < LEARNT_SHARE * np.count_nonzero(room))
 
     def _limit_m(self) -> Float[ndarray, "h w"]:
-        limit = limit_m(self.background_m)
-        limit[(limit >= FAR_M) & (self._empty == 0)] = 2 * FAR_M
+        limit = foreground_limit(self.background_m)
+        limit[(limit >= FAR_M) & (self._out_of_range == 0)] = 2 * FAR_M
         return limit

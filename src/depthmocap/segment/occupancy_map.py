@@ -1,4 +1,4 @@
-"""A plan of the room: foreground of all cameras in columns over the floor, and the blobs that it makes there."""
+"""Bird's-eye occupancy map: the foreground of all cameras in columns over the floor, and its connected blobs."""
 
 from __future__ import annotations
 
@@ -17,23 +17,29 @@ from depthmocap.segment.background import FAR_M
 
 #: Width of a column, and height of a level (metres).
 CELL_M = 0.06
-#: What is lower or higher over the floor is not looked at (metres). Floors may be wrong, so there is room below.
-LOWEST_M, HIGHEST_M = -1.5, 2.6
-#: Where no background is known, what is lower than this may be the floor (metres).
+#: Lowest height in the map (metres over the floor): far below it, because the floor may be estimated wrongly.
+LOWEST_M = -1.5
+#: Highest height in the map (metres over the floor): a person with an arm raised.
+HIGHEST_M = 2.6
+#: Where no background is known, anything lower than this (metres) may be the floor and is left out.
 CLEAR_M = 0.07
-#: How far before a camera the plan reaches, and its greatest width (metres).
-REACH_M, WIDEST_M = 7.0, 18.0
-#: A column with less surface than this in it is empty (m²).
+#: How far in front of a camera the map reaches (metres): the range of the sensors.
+REACH_M = 7.0
+#: Greatest width of the map (metres): bounds memory and time.
+WIDEST_M = 18.0
+#: A column with less surface than this is empty (m²).
 LEAST_M2 = 0.0006
-#: Fewer candidate pixels than this in 3×3 are noise. A majority would eat silhouettes that are full of lost pixels.
+#: A candidate pixel with fewer candidates than this in its 3×3 is noise. A majority would erode noisy silhouettes.
 FEWEST_TOGETHER = 3
-#: A stray pixel at a silhouette hangs at least this far behind one surface and before another.
+#: A flying pixel at a silhouette is at least this far behind one surface and in front of another (metres).
 FLYING_M = 0.08
-#: What is longer than a body on a chair is furniture, with people beside it if it rises over this height (metres).
-SEATED_M, FURNITURE_M = 1.3, 1.05
-#: What is nearer to a camera than a place by this stands before it (metres): more than half a head.
-BEFORE_M = 0.2
-#: A blob begins and ends where this much surface is above and below (m²): less is noise.
+#: A blob longer than this (metres), a body on a chair, is furniture while the background is still being learnt.
+SEATED_M = 1.3
+#: What rises above furniture over this height (metres) is a person beside it.
+FURNITURE_M = 1.05
+#: A surface nearer to a camera than a position by this (metres) occludes it: more than half a head.
+OCCLUDER_M = 0.2
+#: The surface (m²) above a blob's top and below its bottom: less is noise.
 _TIP_M2 = 0.006
 
 _NO_RAYS = np.empty((0, 0, 2), np.float32)
@@ -41,39 +47,50 @@ _NO_RAYS = np.empty((0, 0, 2), np.float32)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Foreground:
-    """What one camera sees before the background: of each pixel its place in the flat picture, column and level."""
+    """One camera's foreground.
+
+    Attributes:
+        depth_m: the camera's depth image (metres).
+        pixels: index of each foreground pixel in the flat image.
+        columns, levels: its column and level in the map.
+        certain: 1 where the background is known to be behind the pixel, or out of range.
+        pixel_m2: surface that a pixel shows at a metre (m²).
+        trusted: False while the camera still learns its background.
+    """
 
     depth_m: Float[ndarray, "h w"]
     pixels: Int[ndarray, " n"]
     columns: Int[ndarray, " n"]
     levels: UInt8[ndarray, " n"]
-    #: 1 where the background is known to be behind, or to be out of range.
-    sure: UInt8[ndarray, " n"]
+    certain: UInt8[ndarray, " n"]
     pixel_m2: float
-    #: Whether it tells what stands in the room: not while the camera still learns what belongs to it.
     trusted: bool = True
 
-    def without_unsure(self, near: Bool[ndarray, " columns"]) -> Foreground:
-        """Of what is before an unknown background only that in these columns: elsewhere it is the background, come to
-        light. A camera that still learns is left as it is."""
-        keep = self.sure.view(np.bool_)
+    def without_uncertain(self, near: Bool[ndarray, " columns"]) -> Foreground:
+        """Without the uncertain pixels, except in the columns ``near`` people: elsewhere an uncertain pixel is the
+        background itself, seen for the first time. A camera that still learns its background is left as it is."""
+        keep = self.certain.view(np.bool_)
         if not self.trusted or keep.all():
             return self
         keep = keep | near[self.columns]
         return dataclasses.replace(
-            self, pixels=self.pixels[keep], columns=self.columns[keep], levels=self.levels[keep], sure=self.sure[keep]
+            self,
+            pixels=self.pixels[keep],
+            columns=self.columns[keep],
+            levels=self.levels[keep],
+            certain=self.certain[keep],
         )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Blobs:
-    """Foreground that hangs together, seen from above; entry i is that of label i + 1.
+    """Connected components of the foreground, seen from above. Entry i belongs to label i + 1.
 
     Attributes:
-        labels: of every column, 0 where nothing is.
+        labels: of every column, 0 where it is empty.
         areas_m2: surface that all cameras together see.
-        centres_m: x and y, from the plan's corner.
-        sizes_m: the longer and the shorter side of its box along the plan's axes.
+        centres_m: x and y, from the map's corner.
+        sizes_m: the longer and the shorter side of the bounding box along the map's axes.
         tops_m, bottoms_m: heights over the floor.
     """
 
@@ -88,63 +105,68 @@ class Blobs:
         return len(self.areas_m2)
 
 
-class Plan:
-    """Columns over the floor that the cameras can see.
+class OccupancyMap:
+    """Columns over the part of the floor that the cameras can see.
 
     Attributes:
         shape: columns in x and y, levels.
-        plan_from_world: Z up, the floor at z = 0, the corner of the plan at x = y = 0.
+        map_from_world: 4×4; in the map Z is up, the floor z = 0 and a corner x = y = 0.
     """
 
     def __init__(self, cameras: Sequence[DepthCamera], floor_from_world: Float[ndarray, "4 4"]) -> None:
-        """A plan with room for what the cameras see."""
-        ends = []
+        """A map that covers the view frusta of the cameras."""
+        frusta = []
         for camera in cameras:
             tips = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, REACH_M]])
             half_x, half_y = REACH_M * camera.width / camera.fx / 2, REACH_M * camera.height / camera.fy / 2
             corners = np.array([[x, y, REACH_M] for x in (-half_x, half_x) for y in (-half_y, half_y)])
-            ends.append(transform_points(floor_from_world @ camera.world_from_camera, np.concatenate([tips, corners])))
-        places = np.concatenate(ends)[:, :2]
-        low, high = places.min(0), places.max(0)
-        middle = places.mean(0)
+            frusta.append(
+                transform_points(floor_from_world @ camera.world_from_camera, np.concatenate([tips, corners]))
+            )
+        positions = np.concatenate(frusta)[:, :2]
+        low, high = positions.min(0), positions.max(0)
+        middle = positions.mean(0)
         low, high = np.maximum(low, middle - WIDEST_M / 2), np.minimum(high, middle + WIDEST_M / 2)
         nx, ny = np.ceil((high - low) / CELL_M).astype(int) + 2
         self.shape = (int(nx), int(ny), round((HIGHEST_M - LOWEST_M) / CELL_M))
-        self.plan_from_world = floor_from_world.copy()
-        self.plan_from_world[:2, 3] -= low - CELL_M
+        self.map_from_world = floor_from_world.copy()
+        self.map_from_world[:2, 3] -= low - CELL_M
 
     def foreground(
         self, camera: DepthCamera, depth_m: Float[ndarray, "h w"], limit_m: Float[ndarray, "h w"], trusted: bool
     ) -> Foreground:
-        """What is nearer than the limit (metres along z), without stray pixels."""
+        """The pixels nearer than the limit (metres along z), without noise and flying pixels."""
         candidate = np.empty(depth_m.shape, np.uint8)
         count = find_candidates(depth_m, limit_m, candidate)
         pixels, columns = np.empty(count, np.int32), np.empty(count, np.int32)
-        levels, sure = np.empty(count, np.uint8), np.empty(count, np.uint8)
+        levels, certain = np.empty(count, np.uint8), np.empty(count, np.uint8)
         nx, ny, nz = self.shape
-        found = place_candidates(
+        kept = place_candidates(
             candidate, depth_m, limit_m, camera.rays if any(camera.distortion) else _NO_RAYS,
             (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)),
-            self.plan_from_world @ camera.world_from_camera, (nx, ny, nz, CELL_M, LOWEST_M, CLEAR_M),
-            FEWEST_TOGETHER, FLYING_M, float(FAR_M), pixels, columns, levels, sure,
+            self.map_from_world @ camera.world_from_camera, (nx, ny, nz, CELL_M, LOWEST_M, CLEAR_M),
+            FEWEST_TOGETHER, FLYING_M, float(FAR_M), pixels, columns, levels, certain,
         )  # fmt: skip
         area_m2 = 1 / (camera.fx * camera.fy)
-        return Foreground(depth_m, pixels[:found], columns[:found], levels[:found], sure[:found], area_m2, trusted)
+        return Foreground(depth_m, pixels[:kept], columns[:kept], levels[:kept], certain[:kept], area_m2, trusted)
 
     def blobs(self, views: Sequence[Foreground]) -> Blobs:
-        """What hangs together in the foreground of all cameras; those not trusted count where no other is. Then the
-        furniture is foreground as well, and what rises over it is told from it."""
+        """Connected components of the foreground of all trusted cameras.
+
+        Without a trusted camera all cameras count. Then furniture is foreground as well, and what rises above it is
+        separated from it.
+        """
         nx, _, nz = self.shape
         learning = not any(view.trusted for view in views)
         if not learning:
             views = [view for view in views if view.trusted]
         filled = self._filled(views, LOWEST_M)
-        labels, sizes_m = _components(filled)
+        labels, sizes_m = _connected_components(filled)
         if learning:
             long = np.append(False, sizes_m[:, 0] > SEATED_M)
-            high, high_sizes_m = _components(self._filled(views, FURNITURE_M) & long[labels])
+            high, high_sizes_m = _connected_components(self._filled(views, FURNITURE_M) & long[labels])
             high[np.append(False, high_sizes_m[:, 0] > SEATED_M)[high]] = 0  # walls and cupboards
-            labels, sizes_m = _components(filled & (high == 0))
+            labels, sizes_m = _connected_components(filled & (high == 0))
             labels = np.where(high > 0, high, np.where(labels > 0, labels + len(high_sizes_m), 0))
             sizes_m = np.concatenate([high_sizes_m, sizes_m])
         count = len(sizes_m) + 1
@@ -158,7 +180,7 @@ class Plan:
         )  # fmt: skip
 
     def _filled(self, views: Sequence[Foreground], lowest_m: float) -> Bool[ndarray, "ny nx"]:
-        """Columns with surface in them higher than this."""
+        """Columns with surface higher than ``lowest_m``."""
         nx, ny, _ = self.shape
         area_m2 = np.zeros(ny * nx, np.float32)
         for view in views:
@@ -166,46 +188,48 @@ class Plan:
             add_area(view.depth_m, view.pixels[high], view.columns[high], view.pixel_m2, area_m2)
         return (area_m2 > LEAST_M2).reshape(ny, nx)
 
-    def overlooked(self, views: Sequence[View], place_m: Float[ndarray, "2"], height_m: float) -> bool:
-        """Whether two views at least (or the only one) show what is at a place and a height (metres), with nothing
-        before it: what is lower there is not cut off by the edge of a picture, a door frame or a lamp."""
-        point = transform_points(rigid_inverse(self.plan_from_world), np.array([*place_m, height_m]))
-        shown = 0
+    def is_visible(self, views: Sequence[View], position_m: Float[ndarray, "2"], height_m: float) -> bool:
+        """Whether at least two views (or the only one) see a position at a height (metres) without an occluder.
+
+        Then no edge of an image, door frame or lamp cuts off what is lower there.
+        """
+        point = transform_points(rigid_inverse(self.map_from_world), np.array([*position_m, height_m]))
+        count = 0
         for view in views:
             u, v, z = view.camera.project(point).tolist()
-            if 0 <= u < view.camera.width - 1 and 0 <= v < view.camera.height - 1:  # NaN behind a camera is not
+            if 0 <= u < view.camera.width - 1 and 0 <= v < view.camera.height - 1:  # False for NaN, behind a camera
                 depth_m = float(view.depth_m[round(v), round(u)])
-                shown += depth_m == 0 or depth_m > z - BEFORE_M
-        return shown >= min(len(views), 2)
+                count += depth_m == 0 or depth_m > z - OCCLUDER_M
+        return count >= min(len(views), 2)
 
-    def around(self, places_m: Sequence[Float[ndarray, "2"]], radius_m: float) -> Bool[ndarray, " columns"]:
-        """Columns within a radius of any of the places (metres, from the plan's corner)."""
+    def columns_near(self, positions_m: Sequence[Float[ndarray, "2"]], radius_m: float) -> Bool[ndarray, " columns"]:
+        """Columns within a radius of any of the positions (metres, from the map's corner)."""
         nx, ny, _ = self.shape
         x, y = (np.arange(nx) + 0.5) * CELL_M, (np.arange(ny)[:, None] + 0.5) * CELL_M
         near = np.zeros((ny, nx), np.bool_)
-        for place in places_m:
-            near |= (x - place[0]) ** 2 + (y - place[1]) ** 2 < radius_m**2
+        for position in positions_m:
+            near |= (x - position[0]) ** 2 + (y - position[1]) ** 2 < radius_m**2
         return near.ravel()
 
 
-def _components(filled: Bool[ndarray, "ny nx"]) -> tuple[Int[ndarray, "ny nx"], Float[ndarray, "b 2"]]:
-    """Labels of the columns that hang together, and the sides of their boxes, the longer first (metres)."""
-    # Columns that touch when each is grown by one hang together: gaps of two are bridged.
-    grown = cv2.dilate(filled.view(np.uint8), np.ones((3, 3), np.uint8))
-    _, labels, boxes, _ = cv2.connectedComponentsWithStats(grown, connectivity=4)
+def _connected_components(filled: Bool[ndarray, "ny nx"]) -> tuple[Int[ndarray, "ny nx"], Float[ndarray, "b 2"]]:
+    """Labels of the connected columns, and the sides of their bounding boxes, the longer first (metres)."""
+    # Dilation by one column on every side bridges gaps of two.
+    dilated = cv2.dilate(filled.view(np.uint8), np.ones((3, 3), np.uint8))
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats(dilated, connectivity=4)
     return labels, np.sort((boxes[1:, 2:4] - 2) * CELL_M, axis=1)[:, ::-1]
 
 
 def extents(profiles: Float[ndarray, "b levels"]) -> tuple[Float[ndarray, " b"], Float[ndarray, " b"]]:
-    """Heights (metres over the floor) of the tops and bottoms of surface counted by level (m²); 0 without any."""
-    ends = []
+    """Heights (metres over the floor) of the tops and bottoms of the surface in each level (m²); 0 without any."""
+    tip_heights = []
     for counts in (profiles[:, ::-1], profiles):
         passed = np.cumsum(counts, 1)
         level = np.minimum((passed < _TIP_M2).sum(1), passed.shape[1] - 1)[:, None]
-        # Within the level surface is taken to be spread evenly, so that heights are finer than levels.
+        # Surface is assumed to be spread evenly within a level, which makes heights finer than levels.
         inside = np.take_along_axis(counts, level, 1)
         share = (_TIP_M2 - (np.take_along_axis(passed, level, 1) - inside)) / np.maximum(inside, 1e-12)
-        ends.append((level + np.clip(share, 0, 1))[:, 0] * CELL_M)
+        tip_heights.append((level + np.clip(share, 0, 1))[:, 0] * CELL_M)
     empty = profiles.sum(1) < _TIP_M2
-    tops = profiles.shape[1] * CELL_M + LOWEST_M - ends[0]
-    return np.where(empty, 0.0, tops), np.where(empty, 0.0, ends[1] + LOWEST_M)
+    tops = profiles.shape[1] * CELL_M + LOWEST_M - tip_heights[0]
+    return np.where(empty, 0.0, tops), np.where(empty, 0.0, tip_heights[1] + LOWEST_M)

@@ -1,4 +1,4 @@
-"""Who the blobs on the plan are: people keep their number while they walk, stand, cross each other, go and return."""
+"""Tracking of people: they keep their number while they walk, stand, cross each other, leave and return."""
 
 from __future__ import annotations
 
@@ -11,183 +11,110 @@ from numpy import ndarray
 from scipy.optimize import linear_sum_assignment
 
 from depthmocap.segment.occupancy_map import CELL_M, Blobs
+from depthmocap.segment.track import TALL_M, TRAVELLED_M, Track
 
-#: A body shows at least so much surface (m²) to all cameras together, is no longer or higher than this (metres), and a
-#: standing or sitting one is at least so tall. Chairs are not.
-LEAST_M2, LONGEST_M, HIGHEST_M, TALL_M = 0.05, 2.3, 2.4, 1.1
-#: What is not so tall is a person when it has gone this far (metres): chairs are pushed less far. While nobody has been
-#: seen yet, whatever shows so much surface (m²) and has stirred in its first second is one.
-WENT_M, STIRRING_M2, STIRRING_S = 1.0, 0.2, 1.0
-#: Tall things are people after this time where no background was known (s), if they show as much surface.
-DOUBT_S = 0.25
-#: A person may be this far from where they are expected (metres), and that much further for each second unseen.
-GATE_M, GATE_MPS = 0.6, 1.0
-#: A difference in height counts as this much of one in place; less surface than this (m²) is nobody.
-HEIGHT_WEIGHT, SPECK_M2 = 0.7, 0.03
-#: A person who is expected this near to another's blob (metres) is in it.
+#: Least surface of a person in all cameras together (m²).
+LEAST_M2 = 0.05
+#: Greatest length of a person's blob (metres).
+LONGEST_M = 2.3
+#: Greatest height of a person (metres over the floor): with an arm raised.
+HIGHEST_M = 2.4
+#: Before the first person a blob is also one if it shows so much surface (m²)
+FIRST_PERSON_M2 = 0.2
+#: and has moved within its first second (seconds).
+FIRST_PERSON_S = 1.0
+#: Where no background was known, a tall blob with that much surface is a person after this time (seconds).
+UNCERTAIN_S = 0.25
+#: A blob matches a track within this distance of the predicted position (metres),
+GATE_M = 0.6
+#: and within this much more for each second unseen (m/s): walking speed.
+GATE_MPS = 1.0
+#: Cost of a difference in height, relative to the same distance in position.
+HEIGHT_WEIGHT = 0.7
+#: Blobs with less surface than this (m²) match no track.
+SPECK_M2 = 0.03
+#: A person predicted this near to a blob of another track (metres) shares it.
 INSIDE_M = 0.3
-#: Smaller blobs (m²) this near to the middle of somebody (metres) are parts of them.
-PART_M2, PART_M = 0.12, 0.8
-#: After this time unseen somebody is gone, and this time later forgotten (s).
-GONE_S, AWAY_S = 1.0, 60.0
-#: Who comes is taken for somebody who is away if they are as tall (metres), and everybody else who is away is less
-#: alike by at least the second.
-SAME_HEIGHT_M, CLEARLY_M = 0.03, 0.03
-#: Heights are measured so often (s), where as much over the head is in view (metres); the last ones count, and a few
-#: must have been measured: a step's worth. Somebody who comes while others are away has no number until then, but no
-#: longer than this (s).
-MEASURE_S, OVER_M, HEIGHTS, LEAST_HEIGHTS, RECOGNISE_S = 0.09, 0.1, 60, 6, 3.0
-#: Somebody has been seen from head to foot when their feet were seen, so much surface (m²), and their height does not
-#: grow by more than this over what it was (metres).
-FEET_M, WHOLE_M2, SETTLED_M = 0.3, 0.4, 0.02
-#: What stays within this (metres) for so long (s) is a thing: if it is not tall, and if it was there before the
-#: background was known and has not gone anywhere. Others may stand still as long as they like.
-STILL_M, LOW_STILL_S, DOUBT_STILL_S = 0.012, 3.0, 10.0
-#: Who was seen in a blob of their own for less than this (s) does not divide another's; numbers of those who begin this
-#: near to somebody (metres) wait as long.
-ALONE_S, NEAR_M = 0.4, 0.7
-#: Of what is measured, this share goes into the place, and that into the speed; nobody runs faster (m/s).
-_PLACE, _SPEED, _FASTEST_MPS = 0.6, 0.25, 4.0
-
-
-@dataclasses.dataclass(eq=False)
-class Track:
-    """Somebody, or something, on the plan (metres, seconds).
-
-    Attributes:
-        number: the person's, from 1; 0 while it is not certain that this is a person.
-        own_number: the last that they had: theirs whenever they are a person again.
-        top_m: how tall they were, as a slow maximum.
-        doubted: was there before the background was known.
-        settled: was taken for a thing, and has not been a person since; ``born_s`` and ``birth_m`` are of then.
-        area_m2: seen now; 0 when hidden.
-        whole: has been seen from head to foot.
-        alone_s: how long they were seen in a blob of their own.
-        heights_m: how high the head was, of late, whenever what is over it was in view.
-        measured_s: when that was last.
-    """
-
-    label: int
-    place_m: Float[ndarray, "2"]
-    top_m: float
-    born_s: float
-    doubted: bool
-    number: int = 0
-    own_number: int = 0
-    settled: bool = False
-    velocity_mps: Float[ndarray, "2"] = dataclasses.field(default_factory=lambda: np.zeros(2))
-    area_m2: float = 0.0
-    seen_s: float = 0.0
-    expected_m: Float[ndarray, "2"] = dataclasses.field(default_factory=lambda: np.zeros(2))
-    whole: bool = False
-    alone_s: float = 0.0
-    birth_m: Float[ndarray, "2"] = dataclasses.field(default_factory=lambda: np.zeros(2))
-    anchor_m: Float[ndarray, "2"] = dataclasses.field(default_factory=lambda: np.zeros(2))
-    still_since_s: float = 0.0
-    heights_m: list[float] = dataclasses.field(default_factory=list)
-    measured_s: float = -np.inf
-
-    def expect(self, now_s: float) -> None:
-        """Where they should be now: on their way, slower and slower while they are unseen."""
-        unseen_s = now_s - self.seen_s
-        self.expected_m = self.place_m + self.velocity_mps * min(unseen_s, 0.3)
-
-    def see(self, place_m: Float[ndarray, "2"], top_m: float, bottom_m: float, area_m2: float, now_s: float) -> None:
-        """Take a measurement."""
-        passed_s = max(now_s - self.seen_s, 1e-3)
-        off = place_m - self.expected_m
-        self.place_m = self.expected_m + _PLACE * off
-        velocity = self.velocity_mps + _SPEED * off / passed_s
-        self.velocity_mps = velocity * min(1.0, _FASTEST_MPS / max(float(np.linalg.norm(velocity)), 1e-9))
-        # Up soon, down slowly: whoever bends down is as tall as before. What was a thing so far may be beside somebody.
-        up_s = 1.0 if not self.number and (self.settled or now_s - self.born_s > 1) else 0.25
-        self.top_m += (top_m - self.top_m) * min(1.0, passed_s / (up_s if top_m > self.top_m else 20.0))
-        self.area_m2, self.seen_s = area_m2, now_s
-        self.whole |= bottom_m < FEET_M and area_m2 > WHOLE_M2 and top_m - self.top_m < SETTLED_M
-        if np.linalg.norm(place_m - self.anchor_m) > STILL_M:
-            self.anchor_m, self.still_since_s = place_m.copy(), now_s
-
-    def measure(self, top_m: float, now_s: float) -> None:
-        """Take a height that is known to be that of the head."""
-        self.heights_m = [*self.heights_m[1 - HEIGHTS :], top_m]
-        self.measured_s = now_s
-
-    @property
-    def stature_m(self) -> float:
-        """How tall they are; NaN until it was measured for long enough. Who walks bobs, and who bends is less high, so
-        it is an upper quantile."""
-        return float(np.quantile(self.heights_m, 0.75)) if len(self.heights_m) >= LEAST_HEIGHTS else np.nan
-
-    @property
-    def went_m(self) -> float:
-        """How far it is from where it was born."""
-        return float(np.linalg.norm(self.place_m - self.birth_m))
-
-    def be(self, number: int) -> None:
-        """Be somebody."""
-        self.number = self.own_number = number
-        self.settled = False
-
-    def settle(self, now_s: float) -> None:
-        """What has not stirred for long is a thing until it does, but for the tall that came while the room was known:
-        people stand still."""
-        if self.top_m < TALL_M:
-            limit_s = LOW_STILL_S
-        elif self.doubted and self.went_m < WENT_M:
-            limit_s = DOUBT_STILL_S
-        else:
-            return
-        if not self.settled and now_s - self.still_since_s > limit_s:
-            self.number, self.settled = 0, True
-            self.born_s, self.birth_m = now_s, self.place_m.copy()
+#: Blobs with less surface than this (m²)
+PART_M2 = 0.12
+#: and this near to the middle of a person (metres) are parts of them.
+PART_M = 0.8
+#: A track unseen for this time ends (seconds).
+GONE_S = 1.0
+#: A person who has left keeps their number for this time (seconds).
+AWAY_S = 60.0
+#: A new track gets the number of a person who has left if their heights differ by less than this (metres)
+SAME_HEIGHT_M = 0.03
+#: and every other person who has left differs by this much more (metres).
+CLEARLY_M = 0.03
+#: Time between two height measurements (seconds).
+MEASURE_S = 0.09
+#: Height above the head that must be visible for a height measurement (metres): nothing then cuts the head off.
+CLEARANCE_M = 0.1
+#: While others are away, a new track waits for its stature before it gets a number, but no longer than this (seconds).
+RECOGNISE_S = 3.0
+#: A track that was in a blob of its own for less than this (seconds) may be a piece of the person whose blob it shares.
+ALONE_S = 0.4
+#: A new track this near to a person (metres) must have been in a blob of its own for ``ALONE_S`` to get a number.
+NEAR_M = 0.7
 
 
 @dataclasses.dataclass(frozen=True)
-class Shared:
-    """A blob that several people are in, by index, and their tracks' labels."""
+class SharedBlob:
+    """The index of a blob that contains several people, and the labels of their tracks."""
 
-    blob: int
+    index: int
     labels: tuple[int, ...]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Part:
-    """What is seen of somebody in a shared blob: place, heights of top and bottom (metres), surface (m²)."""
+class BlobPart:
+    """One person's part of a shared blob: position, heights of top and bottom (metres), surface (m²)."""
 
-    place_m: Float[ndarray, "2"]
+    position_m: Float[ndarray, "2"]
     top_m: float
     bottom_m: float
     area_m2: float
 
 
-class Tracks:
-    """People, and what may be people. Labels 1–254 tell tracks apart now; numbers tell people apart for good."""
+class PeopleTracker:
+    """Tracks of people and of objects that may be people.
+
+    Labels 1–254 tell the active tracks apart, and are used again. Numbers belong to one person for good.
+    """
 
     def __init__(self) -> None:
-        self.alive: list[Track] = []
-        self._away: list[Track] = []
-        self._numbers = 0
+        self.active: list[Track] = []
+        self._departed: list[Track] = []
+        self._last_number = 0
 
-    def expect(self, now_s: float) -> list[Float[ndarray, "2"]]:
-        """Where everybody should be now; these are people's places (metres)."""
-        for track in self.alive:
-            track.expect(now_s)
-        return [track.expected_m for track in self.alive if track.number]
+    def predict(self, now_s: float) -> list[Float[ndarray, "2"]]:
+        """Predict all tracks; the predicted positions of people (metres)."""
+        for track in self.active:
+            track.predict(now_s)
+        return [track.predicted_m for track in self.active if track.number]
 
-    def assign(self, blobs: Blobs, now_s: float) -> tuple[Int[ndarray, " b"], list[Shared]]:
-        """The label of each blob's track (0: none yet), and the blobs that must be divided; after :meth:`expect`."""
-        owner, shared = np.zeros(len(blobs), np.int64), []
-        if not len(blobs) or not self.alive:
-            return owner, shared
-        expected = np.stack([track.expected_m for track in self.alive])
-        gaps = np.linalg.norm(expected[:, None] - blobs.centres_m[None], axis=2)
-        grown = blobs.tops_m[None] - np.array([track.top_m for track in self.alive])[:, None]
-        # Of somebody who was not seen whole yet, more can come into view.
-        whole = np.array([track.whole for track in self.alive])[:, None]
-        tall = np.where(whole, np.abs(grown), np.maximum(-grown, 0))
-        gates = np.array([GATE_M + GATE_MPS * min(now_s - track.seen_s, GONE_S) for track in self.alive])
-        # Wider blobs have their middle farther from those who are in them.
-        cost = np.maximum(gaps - blobs.sizes_m[:, 0] / 4, 0.2 * gaps) + HEIGHT_WEIGHT * np.minimum(tall, 1.0)
+    def assign(self, blobs: Blobs, now_s: float) -> tuple[Int[ndarray, " b"], list[SharedBlob]]:
+        """Assign blobs to the predicted tracks.
+
+        The assignment minimises the sum of distance and weighted height difference. A person without a blob whose
+        predicted position is inside a blob of another track shares it.
+
+        Returns:
+            The label of each blob's track, 0 where there is none, and the blobs that several people share.
+        """
+        labels, shared = np.zeros(len(blobs), np.int64), []
+        if not len(blobs) or not self.active:
+            return labels, shared
+        predicted = np.stack([track.predicted_m for track in self.active])
+        gaps = np.linalg.norm(predicted[:, None] - blobs.centres_m[None], axis=2)
+        grown = blobs.tops_m[None] - np.array([track.top_m for track in self.active])[:, None]
+        # A person who was never in full view may become taller.
+        full_body = np.array([track.full_body for track in self.active])[:, None]
+        height_cost = np.where(full_body, np.abs(grown), np.maximum(-grown, 0))
+        gates = np.array([GATE_M + GATE_MPS * min(now_s - track.last_seen_s, GONE_S) for track in self.active])
+        # The centre of a wide blob is farther from the people in it.
+        cost = np.maximum(gaps - blobs.sizes_m[:, 0] / 4, 0.2 * gaps) + HEIGHT_WEIGHT * np.minimum(height_cost, 1.0)
         cost[(cost > gates[:, None]) | (blobs.areas_m2 < SPECK_M2)] = 1e3
         rows, columns = linear_sum_assignment(cost)
         inside: dict[int, list[int]] = {}
@@ -195,146 +122,153 @@ class Tracks:
             if cost[row, column] < 1e3:
                 inside.setdefault(column, []).append(row)
         matched = {row for members in inside.values() for row in members}
-        for row, track in enumerate(self.alive):
+        for row, track in enumerate(self.active):
             if row in matched:
                 continue
-            blob = _blob_near(blobs, track.expected_m)
+            blob = _blob_near(blobs, track.predicted_m)
             if blob in inside and track.number:
                 inside[blob].append(row)
         for blob, members in inside.items():
-            labels = tuple(self.alive[row].label for row in members)
-            owner[blob] = labels[0]
+            inside_labels = tuple(self.active[row].label for row in members)
+            labels[blob] = inside_labels[0]
             if len(members) > 1:
-                shared.append(Shared(blob, labels))
-        self._add_parts(blobs, owner)
-        return owner, shared
+                shared.append(SharedBlob(blob, inside_labels))
+        self._add_parts(blobs, labels)
+        return labels, shared
 
     def shift(self, offset_m: Float[ndarray, "2"]) -> None:
-        """Take another corner of the plan."""
-        for track in self.alive:
-            for place in (track.place_m, track.expected_m, track.anchor_m, track.birth_m):
-                place += offset_m
+        """Move all positions by an offset (metres): the map has another corner."""
+        for track in self.active:
+            for position in (track.position_m, track.predicted_m, track.anchor_m, track.start_m):
+                position += offset_m
 
-    def _add_parts(self, blobs: Blobs, owner: Int[ndarray, " b"]) -> None:
-        """Give small blobs near somebody to them: occlusion cuts hands and feet off."""
-        mains = np.flatnonzero(owner)
+    def _add_parts(self, blobs: Blobs, labels: Int[ndarray, " b"]) -> None:
+        """Assign small blobs near a track to it: occlusion cuts hands and feet off."""
+        mains = np.flatnonzero(labels)
         if not len(mains):
             return
-        for blob in np.flatnonzero((owner == 0) & (blobs.areas_m2 < PART_M2)).tolist():
+        for blob in np.flatnonzero((labels == 0) & (blobs.areas_m2 < PART_M2)).tolist():
             reach = np.linalg.norm(blobs.centres_m[mains] - blobs.centres_m[blob], axis=1) - blobs.sizes_m[mains, 0] / 4
             if reach.min() < PART_M:
-                owner[blob] = owner[mains[reach.argmin()]]
+                labels[blob] = labels[mains[reach.argmin()]]
 
     def update(
         self,
-        owner: Int[ndarray, " b"],
+        labels: Int[ndarray, " b"],
         blobs: Blobs,
-        divided: dict[int, Part],
+        parts: dict[int, BlobPart],
         learning: bool,
-        overlooked: Callable[[Float[ndarray, "2"], float], bool],
+        is_visible: Callable[[Float[ndarray, "2"], float], bool],
         now_s: float,
     ) -> None:
-        """See, lose, end and begin tracks.
+        """Update, end and start tracks.
 
         Args:
-            owner: from :meth:`assign`; new tracks are written into it.
-            divided: of tracks in shared blobs, by label.
-            learning: no camera knows its background yet.
-            overlooked: whether what is over a place at a height is in view.
+            labels: from :meth:`assign`; the labels of new tracks are written into it.
+            parts: of tracks in shared blobs, by label.
+            learning: whether no camera knows its background yet.
+            is_visible: whether a position at a height (metres) is in view.
         """
-        for track in self.alive:
-            own = np.flatnonzero(owner == track.label)
+        for track in self.active:
+            indices = np.flatnonzero(labels == track.label)
             track.area_m2 = 0.0
-            if track.label in divided:
-                part = divided[track.label]
+            if track.label in parts:
+                part = parts[track.label]
                 if part.area_m2 > SPECK_M2:
-                    track.see(part.place_m, part.top_m, part.bottom_m, part.area_m2, now_s)
-            elif len(own):
-                areas = blobs.areas_m2[own]
-                centre = (blobs.centres_m[own] * areas[:, None]).sum(0) / areas.sum()
-                track.alone_s += now_s - track.seen_s
-                top, bottom = float(blobs.tops_m[own].max()), float(blobs.bottoms_m[own].min())
-                track.see(centre, top, bottom, float(areas.sum()), now_s)
-                if now_s - track.measured_s >= MEASURE_S and overlooked(centre, top + OVER_M):
-                    track.measure(top, now_s)
-            track.settle(now_s)
-        self._end_twins(divided)
-        for track in [track for track in self.alive if now_s - track.seen_s > GONE_S]:
-            self.alive.remove(track)
-            if track.own_number:
-                self._away.append(track)
-        self._away = [track for track in self._away if now_s - track.seen_s < AWAY_S]
-        for blob in np.flatnonzero(owner == 0).tolist():
+                    track.update(part.position_m, part.top_m, part.bottom_m, part.area_m2, now_s)
+            elif len(indices):
+                areas = blobs.areas_m2[indices]
+                centre = (blobs.centres_m[indices] * areas[:, None]).sum(0) / areas.sum()
+                track.alone_s += now_s - track.last_seen_s
+                top, bottom = float(blobs.tops_m[indices].max()), float(blobs.bottoms_m[indices].min())
+                track.update(centre, top, bottom, float(areas.sum()), now_s)
+                if now_s - track.height_measured_s >= MEASURE_S and is_visible(centre, top + CLEARANCE_M):
+                    track.add_height(top, now_s)
+            track.check_static(now_s)
+        self._end_duplicates(parts)
+        for track in [track for track in self.active if now_s - track.last_seen_s > GONE_S]:
+            self.active.remove(track)
+            if track.last_number:
+                self._departed.append(track)
+        self._departed = [track for track in self._departed if now_s - track.last_seen_s < AWAY_S]
+        for blob in np.flatnonzero(labels == 0).tolist():
             if _is_body(blobs, blob):
-                owner[blob] = self._begin(blobs, blob, learning, now_s)
-        for track in self.alive:
+                labels[blob] = self._start_track(blobs, blob, learning, now_s)
+        for track in self.active:
             if not track.number:
-                self._recognise(track, now_s)
+                self._identify(track, now_s)
 
-    def _end_twins(self, divided: dict[int, Part]) -> None:
-        """End those who were hardly ever seen apart from an elder whose blob they share: a body in two pieces."""
-        shared = [track for track in self.alive if track.label in divided and track.number]
+    def _end_duplicates(self, parts: dict[int, BlobPart]) -> None:
+        """End tracks that were hardly ever apart from an older one whose blob they share: one body in two pieces."""
+        shared = [track for track in self.active if track.label in parts and track.number]
         for track in shared:
             if track.alone_s < ALONE_S and any(other.number < track.number for other in shared):
-                self.alive.remove(track)
+                self.active.remove(track)
 
-    def _begin(self, blobs: Blobs, blob: int, doubted: bool, now_s: float) -> int:
-        taken = {track.label for track in self.alive}
+    def _start_track(self, blobs: Blobs, blob: int, predates_background: bool, now_s: float) -> int:
+        """Start a track; its label, 0 when all labels are in use."""
+        taken = {track.label for track in self.active}
         label = next((label for label in range(1, 255) if label not in taken), 0)
         if label:
-            place, top = blobs.centres_m[blob].copy(), float(blobs.tops_m[blob])
-            self.alive.append(
+            position, top = blobs.centres_m[blob].copy(), float(blobs.tops_m[blob])
+            self.active.append(
                 Track(
-                    label, place, top, now_s, doubted, area_m2=float(blobs.areas_m2[blob]), seen_s=now_s,
-                    birth_m=place.copy(), anchor_m=place.copy(), still_since_s=now_s,
+                    label, position, top, now_s, predates_background, area_m2=float(blobs.areas_m2[blob]),
+                    last_seen_s=now_s, start_m=position.copy(), anchor_m=position.copy(), still_since_s=now_s,
                 )
             )  # fmt: skip
         return label
 
-    def _recognise(self, track: Track, now_s: float) -> None:
-        """Give a number to what has shown that it is a person."""
-        age_s = now_s - track.born_s
-        stirred = track.still_since_s > track.born_s
-        if track.settled:
-            certain = stirred and not track.doubted
+    def _identify(self, track: Track, now_s: float) -> None:
+        """Give a track a number once it is certain to be a person."""
+        age_s = now_s - track.start_s
+        has_moved = track.still_since_s > track.start_s
+        if track.is_object:
+            certain = has_moved and not track.predates_background
         else:
-            certain = not track.doubted or (age_s >= DOUBT_S and track.area_m2 > STIRRING_M2)
+            certain = not track.predates_background or (age_s >= UNCERTAIN_S and track.area_m2 > FIRST_PERSON_M2)
         tall = track.top_m >= TALL_M and certain
-        stirs = (
-            not self._numbers and not track.settled and track.area_m2 > STIRRING_M2 and age_s >= STIRRING_S and stirred
+        first_person = (
+            not self._last_number
+            and not track.is_object
+            and track.area_m2 > FIRST_PERSON_M2
+            and age_s >= FIRST_PERSON_S
+            and has_moved
         )
-        if not (tall or stirs or track.went_m > WENT_M):
+        if not (tall or first_person or track.travelled_m > TRAVELLED_M):
             return
-        if track.own_number:
-            track.be(track.own_number)
+        if track.last_number:
+            track.assign_number(track.last_number)
             return
-        near = [each for each in self.alive if each.number and np.linalg.norm(each.place_m - track.place_m) < NEAR_M]
+        near = any(
+            other.number and np.linalg.norm(other.position_m - track.position_m) < NEAR_M for other in self.active
+        )
         if near and track.alone_s < ALONE_S:
             return
-        if self._away and np.isnan(track.stature_m) and age_s < RECOGNISE_S:
+        if self._departed and np.isnan(track.stature_m) and age_s < RECOGNISE_S:
             return
-        number = self._returned(track.stature_m)
+        number = self._match_departed(track.stature_m)
         if not number:
-            self._numbers += 1
-            number = self._numbers
-        track.be(number)
+            self._last_number += 1
+            number = self._last_number
+        track.assign_number(number)
 
-    def _returned(self, stature_m: float) -> int:
-        """The number of the one who is away and as tall, who is not away any more then; 0 where nobody is for sure."""
-        # Who was never measured is at least as tall as they were seen, and nobody's match.
-        off_m = [
+    def _match_departed(self, stature_m: float) -> int:
+        """The number of the departed person of this stature, removed from the departed; 0 when none clearly matches."""
+        # A person without measured stature is at least as tall as their track, and matches nobody.
+        differences_m = [
             max(away.top_m - stature_m, 0.0) if np.isnan(away.stature_m) else abs(away.stature_m - stature_m)
-            for away in self._away
+            for away in self._departed
         ]
-        order = np.argsort(off_m)
+        order = np.argsort(differences_m)
         if not len(order) or np.isnan(stature_m):
             return 0
-        best = self._away[order[0]]
-        clearly = len(order) == 1 or off_m[order[1]] - off_m[order[0]] >= CLEARLY_M
-        if np.isnan(best.stature_m) or off_m[order[0]] > SAME_HEIGHT_M or not clearly:
+        best = self._departed[order[0]]
+        clearly = len(order) == 1 or differences_m[order[1]] - differences_m[order[0]] >= CLEARLY_M
+        if np.isnan(best.stature_m) or differences_m[order[0]] > SAME_HEIGHT_M or not clearly:
             return 0
-        self._away.remove(best)
-        return best.own_number
+        self._departed.remove(best)
+        return best.last_number
 
 
 def _is_body(blobs: Blobs, blob: int) -> bool:
@@ -346,10 +280,10 @@ def _is_body(blobs: Blobs, blob: int) -> bool:
     )
 
 
-def _blob_near(blobs: Blobs, place_m: Float[ndarray, "2"]) -> int:
-    """The blob of the column nearest to a place, -1 where none is near."""
+def _blob_near(blobs: Blobs, position_m: Float[ndarray, "2"]) -> int:
+    """The index of the blob nearest to a position, -1 where none is within ``INSIDE_M``."""
     reach = int(INSIDE_M / CELL_M)
-    x, y = (place_m / CELL_M).astype(int).tolist()
+    x, y = (position_m / CELL_M).astype(int).tolist()
     top, left = max(y - reach, 0), max(x - reach, 0)
     window = blobs.labels[top : y + reach + 1, left : x + reach + 1]
     rows, columns = np.nonzero(window)
