@@ -1,15 +1,17 @@
 """Pages name commands, names and files that there are. Their options are looked at when the site is built."""
 
 import importlib.util
+import pkgutil
 import re
 from pathlib import Path
 
 import pytest
 
+import depthmocap
 from depthmocap.cli import _COMMANDS
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 _found = importlib.util.spec_from_file_location("checks", ROOT / "docs" / "scripts" / "checks.py")
 assert _found is not None and _found.loader is not None
@@ -31,8 +33,14 @@ def test_what_a_page_names_is_there(page: Path) -> None:
 
 def test_every_page_is_in_the_navigation_of_the_site() -> None:
     told = set(re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text(encoding="utf-8")))
-    there = {page.relative_to(ROOT / "docs").as_posix() for page in PAGES[1:]}
+    there = {page.relative_to(ROOT / "docs").as_posix() for page in PAGES[2:]}
     assert told == there | {"reference/python.md", "reference/commands.md"}
+
+
+def test_every_package_is_in_the_layout() -> None:
+    text = (ROOT / "docs" / "reference" / "code.md").read_text(encoding="utf-8")
+    packages = {module.name for module in pkgutil.iter_modules(depthmocap.__path__)}
+    assert packages <= set(re.findall(r"`(\w+)`", text))
 
 
 def test_what_is_not_there_is_told() -> None:
