@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt16
 from numpy import ndarray
 
-from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, NoFrame
+from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, FrameTimeoutError
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet
 from depthmocap.geometry import DepthCamera, Rig
@@ -270,7 +270,7 @@ class SimulatedCamera(DepthSource):
                 self._next = next(self._events, None)
                 return event.frame(time.monotonic_ns())
             if now_s >= give_up_s:
-                raise NoFrame(f"camera {self.name!r} gave nothing for {timeout_s:.1f} s")
+                raise FrameTimeoutError(f"camera {self.name!r} gave nothing for {timeout_s:.1f} s")
             time.sleep(max(min(due_s, give_up_s, now_s + 0.1) - now_s, 0))
         return None
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy import ndarray
 
 import depthmocap
-from depthmocap.cameras.source import CameraError, NoFrame
+from depthmocap.cameras.source import CameraError, FrameTimeoutError
 
 
 class Device:
@@ -68,7 +68,7 @@ class MyCamera(depthmocap.DepthSource):
         try:
             picture = self._device.wait_for_picture(timeout_s)
         except TimeoutError:
-            raise NoFrame(f"camera {self.name!r}: no frame in {timeout_s:.1f} s") from None  # it may still come
+            raise FrameTimeoutError(f"camera {self.name!r}: no frame in {timeout_s:.1f} s") from None
         arrival_ns = time.monotonic_ns()  # before anything else is done
         if picture is None:
             return None

@@ -56,7 +56,7 @@ def _said(tree: ast.AST) -> list[tuple[str, str]]:
         texts = [each.value if isinstance(each, ast.Constant) else None for each in arguments]
         if node.func.id == "missing_extra" and all(isinstance(each, str) for each in texts):
             found.append((str(texts[0]), str(texts[1])))
-        if node.func.id == "Make" and isinstance(texts[2], str):
+        if node.func.id == "CameraMake" and isinstance(texts[2], str):
             found.append((texts[2], str(texts[0])))
     return found
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from depthmocap.cameras import azure_kinect, k4a, sdk
-from depthmocap.cameras.azure_kinect import AzureKinect, find
+from depthmocap.cameras.azure_kinect import AzureKinect, find_cameras
 from depthmocap.cameras.registry import make_sources
-from depthmocap.cameras.source import CameraError, NoFrame
+from depthmocap.cameras.source import CameraError, FrameTimeoutError
 from depthmocap.errors import InputError
 
 WIDTH, HEIGHT = 640, 576
@@ -136,7 +136,7 @@ def test_frames_of_a_device(library: FakeK4a) -> None:
             assert frame.raw.shape == (HEIGHT, WIDTH)
             assert (frame.raw == i + 1).all()
             assert frame.clock == "azure two device"
-        with pytest.raises(NoFrame, match="still connected"):
+        with pytest.raises(FrameTimeoutError, match="still connected"):
             source.read(0.01)
         assert library.held == []  # everything was given back
     assert (library.running, library.open) == ([], [])
@@ -169,11 +169,11 @@ def test_modes_that_it_has_not(library: FakeK4a) -> None:
 
 
 def test_what_is_wrong_is_told(library: FakeK4a) -> None:
-    assert [camera.spec for camera in find()] == ["azure:one", "azure:two"]
+    assert [camera.spec for camera in find_cameras()] == ["azure:one", "azure:two"]
     with pytest.raises(CameraError, match="serial number three: connected are one, two"):
         AzureKinect("left", "three").__enter__()
     with AzureKinect("left", "one") as source:
-        assert [camera.problem for camera in find()] == ["in use, or this user may not open it", ""]
+        assert [camera.problem for camera in find_cameras()] == ["in use, or this user may not open it", ""]
         library.lost = True
         with pytest.raises(CameraError, match="'left' failed: k4a_device_get_capture failed"):
             source.read(0.5)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from depth_scene import make_camera, render, sense
 
-from depthmocap.cameras.health import EQUAL, Fault, HealthCheck
+from depthmocap.cameras.health import MAX_REPEATS, Fault, HealthCheck
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ class Check:
 
 def test_a_noisy_room_is_fine_for_ever(picture):
     check = Check()
-    assert [check(raw(picture, seed)) for seed in range(2 * EQUAL)] == [""] * 2 * EQUAL
+    assert [check(raw(picture, seed)) for seed in range(2 * MAX_REPEATS)] == [""] * 2 * MAX_REPEATS
 
 
 def test_a_person_without_a_room_is_fine():
@@ -41,7 +41,7 @@ def test_a_person_without_a_room_is_fine():
 
 def test_a_repeated_picture_is_frozen_until_it_changes(picture):
     check, same = Check(), raw(picture, 0)
-    assert [check(same) for _ in range(EQUAL + 3)] == [""] * EQUAL + ["frozen"] * 3
+    assert [check(same) for _ in range(MAX_REPEATS + 3)] == [""] * MAX_REPEATS + ["frozen"] * 3
     assert check(raw(picture, 1)) == ""
 
 
@@ -57,8 +57,8 @@ def test_noise_darkness_and_another_size(picture):
 def test_time_that_does_not_advance_is_no_time(picture, step_ns):
     check = Check()
     check(raw(picture, 0))
-    assert [check(raw(picture, seed), step_ns) for seed in range(1, EQUAL + 2)] == [
-        *[""] * (EQUAL - 1),
+    assert [check(raw(picture, seed), step_ns) for seed in range(1, MAX_REPEATS + 2)] == [
+        *[""] * (MAX_REPEATS - 1),
         "clock",
         "clock",
     ]
@@ -67,5 +67,5 @@ def test_time_that_does_not_advance_is_no_time(picture, step_ns):
 
 def test_a_clock_that_is_set_back_and_frames_that_come_twice_are_no_fault_of_the_picture(picture):
     check = Check()
-    steps = [33_000_000, -(10**12), *[33_000_000] * 5, 0, *[66_000_000, -33_000_000] * EQUAL]
+    steps = [33_000_000, -(10**12), *[33_000_000] * 5, 0, *[66_000_000, -33_000_000] * MAX_REPEATS]
     assert {check(raw(picture, seed), step_ns) for seed, step_ns in enumerate(steps)} == {""}

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from depthmocap.cameras import kinect2, sdk
-from depthmocap.cameras.kinect2 import Kinect2, find, to_raw
+from depthmocap.cameras.kinect2 import Kinect2, find_cameras, to_raw
 from depthmocap.cameras.registry import make_sources
-from depthmocap.cameras.source import CameraError, NoFrame
+from depthmocap.cameras.source import CameraError, FrameTimeoutError
 from depthmocap.cameras.usb import UsbDevice
 
 DEPTH, COLOR = object(), object()
@@ -108,7 +108,7 @@ def test_frames(on_usb: list[UsbDevice]) -> None:
         assert camera.cx == 511 - 249.5
         assert camera.distortion == (0.09, -0.27, 0.001, -0.002, 0.09)
         assert camera.depth_unit_m == 0.001
-        with pytest.raises(NoFrame, match="still connected"):
+        with pytest.raises(FrameTimeoutError, match="still connected"):
             source.read(0.01)
         device.deliver(1, 2)
         first, second = source.read(1.0), source.read(1.0)
@@ -150,7 +150,7 @@ def test_its_only_mode_can_be_asked_for(freenect2: Any) -> None:
 
 
 def test_what_is_wrong_is_told(freenect2: Any, on_usb: list[UsbDevice], monkeypatch: pytest.MonkeyPatch) -> None:
-    assert [(camera.spec, camera.problem[:27]) for camera in find()] == [
+    assert [(camera.spec, camera.problem[:27]) for camera in find_cameras()] == [
         ("kinect2:111", ""), ("kinect2:222", "it is connected by USB 2 (4")
     ]  # fmt: skip
     with pytest.raises(CameraError, match="serial number 333: connected are 111, 222"):
@@ -170,7 +170,7 @@ def test_what_is_wrong_is_told(freenect2: Any, on_usb: list[UsbDevice], monkeypa
 def test_without_serial_numbers(freenect2: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """On systems whose USB cannot be listed, a serial number is tried as it is, and cameras are only counted."""
     monkeypatch.setattr(sdk, "usb_devices", list)
-    assert [camera.spec for camera in find()] == ["kinect2", "kinect2"]
+    assert [camera.spec for camera in find_cameras()] == ["kinect2", "kinect2"]
     with Kinect2("left", "333") as source:
         assert Device.opened.reference == b"333"
         assert source.name == "left"

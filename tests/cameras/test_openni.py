@@ -12,9 +12,9 @@ import pytest
 from oni_file import write_oni
 
 from depthmocap.cameras import openni, sdk
-from depthmocap.cameras.openni import OpenNICamera, find
+from depthmocap.cameras.openni import OpenNICamera, find_cameras
 from depthmocap.cameras.registry import make_sources
-from depthmocap.cameras.source import CameraError, NoFrame
+from depthmocap.cameras.source import CameraError, FrameTimeoutError
 from depthmocap.errors import InputError
 
 WIDTH, HEIGHT = 64, 48
@@ -151,7 +151,7 @@ def test_frames_of_a_device(package: Any) -> None:
         assert frames[1].clock == "openni 1d27/0601@1/3 device"
         assert frames[1].raw.shape == (480, 640)
         np.testing.assert_array_equal(frames[1].raw[:, [0, 1, 639]], np.broadcast_to([2, 7, 7], (480, 3)))
-        with pytest.raises(NoFrame, match="still connected"):
+        with pytest.raises(FrameTimeoutError, match="still connected"):
             source.read(0.01)
     assert device.uri == b""
     assert not device.stream.running
@@ -190,7 +190,7 @@ def test_a_mirror_is_turned_back(
 
 
 def test_what_is_wrong_is_told(package: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert [camera.spec for camera in find()] == ["openni:1d27/0601@1/2", "openni:1d27/0601@1/3"]
+    assert [camera.spec for camera in find_cameras()] == ["openni:1d27/0601@1/2", "openni:1d27/0601@1/3"]
     for change, told in (
         ({"fov": None}, "does not tell its field of view"),
         ({"fov": 0.0}, "no usable calibration"),
@@ -225,7 +225,7 @@ def test_what_is_wrong_is_told(package: Any, monkeypatch: pytest.MonkeyPatch, tm
 
     monkeypatch.setattr(package, "initialize", fail)
     with pytest.raises(InputError, match=r"apt install libopenni2-dev.*could not be loaded: /lib: file does not exist"):
-        find()
+        find_cameras()
 
 
 def test_a_file_is_played_frame_by_frame(package: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

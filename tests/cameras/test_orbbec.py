@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from depthmocap.cameras import orbbec
-from depthmocap.cameras.orbbec import OrbbecCamera, find
+from depthmocap.cameras.orbbec import OrbbecCamera, find_cameras
 from depthmocap.cameras.registry import make_sources
-from depthmocap.cameras.source import CameraError, NoFrame
+from depthmocap.cameras.source import CameraError, FrameTimeoutError
 from depthmocap.errors import InputError
 from depthmocap.recordings.open_recording import open_recording
 
@@ -189,7 +189,7 @@ def test_frames_as_the_device_gave_them(sdk: Any) -> None:
         assert frames[0] is not None
         assert (frames[0].raw.shape, int(frames[0].raw[0, 1])) == ((HEIGHT, WIDTH), 0x1234)
         assert frames[0].clock == "orbbec two device"
-        with pytest.raises(NoFrame, match="still connected"):
+        with pytest.raises(FrameTimeoutError, match="still connected"):
             source.read(0.05)
     assert not Fake.last.running
 
@@ -227,7 +227,7 @@ def test_lenses_of_other_models(sdk: Any, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_what_is_wrong_is_told(sdk: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert [(camera.spec, camera.model) for camera in find()] == [
+    assert [(camera.spec, camera.model) for camera in find_cameras()] == [
         ("orbbec:one", "Femto Bolt"), ("orbbec:two", "Femto Bolt")
     ]  # fmt: skip
     with pytest.raises(CameraError, match="serial number three: connected are one, two"):
@@ -254,7 +254,7 @@ def test_what_is_wrong_is_told(sdk: Any, monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(CameraError, match="no 16-bit depth"):
         OrbbecCamera("left").__enter__()
     monkeypatch.setattr(Fake, "count", 0)
-    monkeypatch.setattr(orbbec, "_FIRST_S", 0.02)
+    monkeypatch.setattr(orbbec, "_FIRST_FRAME_S", 0.02)
     with pytest.raises(CameraError):
         OrbbecCamera("left").__enter__()
     monkeypatch.setattr(Fake, "serials", ("one", "one"))

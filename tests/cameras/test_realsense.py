@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from depthmocap.cameras.modes import Wanted
-from depthmocap.cameras.realsense import MAKE, RealSenseCamera, find
+from depthmocap.cameras.modes import ModeRequest
+from depthmocap.cameras.realsense import MAKE, RealSenseCamera, find_cameras
 from depthmocap.cameras.registry import make_sources
-from depthmocap.cameras.source import CameraError, NoFrame
+from depthmocap.cameras.source import CameraError, FrameTimeoutError
 from depthmocap.errors import InputError
 
 try:
@@ -68,7 +68,7 @@ def test_frames_come_as_the_device_gave_them() -> None:
             assert frame.raw.dtype == np.uint16
             assert (frame.timestamp_ns, frame.number) == (1_000_250_000 + i * 1_000_000, 7 + 2 * i)
             assert frame.clock == "realsense 0123 hardware_clock"
-        with pytest.raises(NoFrame, match="still connected"):
+        with pytest.raises(FrameTimeoutError, match="still connected"):
             source.read(0.02)
 
 
@@ -103,14 +103,14 @@ def test_read_latest_and_again() -> None:
 
 
 def test_modes() -> None:
-    with RealSenseCamera("front", wanted=Wanted(size=(32, 24)), device=Software().device) as source:
+    with RealSenseCamera("front", request=ModeRequest(size=(32, 24)), device=Software().device) as source:
         assert (source.camera.width, source.camera.height) == (32, 24)
-    for wanted, has in (
-        (Wanted(size=(640, 480)), "size=640x480: it has 32x24, 64x48"),
-        (Wanted(fps=60), "fps=60: it has 30"),
+    for request, has in (
+        (ModeRequest(size=(640, 480)), "size=640x480: it has 32x24, 64x48"),
+        (ModeRequest(fps=60), "fps=60: it has 30"),
     ):
         with pytest.raises(CameraError, match=f"camera 'front' has no {has}$"):
-            RealSenseCamera("front", wanted=wanted, device=Software().device).__enter__()
+            RealSenseCamera("front", request=request, device=Software().device).__enter__()
     (source,) = make_sources(["realsense:1?size=64x48"])
     assert source.name == "realsense-1"
 
@@ -121,7 +121,7 @@ def test_usb_2_is_told() -> None:
 
 
 def test_no_camera_is_told() -> None:
-    if find():
+    if find_cameras():
         pytest.skip("a camera is connected")
     with pytest.raises(CameraError, match="no RealSense camera is connected"):
         RealSenseCamera("front").__enter__()

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from depthmocap.cameras import sdk
-from depthmocap.cameras.sdk import Make, checked
+from depthmocap.cameras.sdk import CameraMake, checked
 from depthmocap.cameras.source import CameraError
 from depthmocap.cameras.usb import UsbDevice, usb_devices
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera
 
-MAKE = Make("toy", "Toy camera", "toy-package", "toymodule", lambda usb: usb.vendor == 0x1234, usb3=True)
+MAKE = CameraMake("toy", "Toy camera", "toy-package", "toymodule", lambda usb: usb.vendor == 0x1234, usb3=True)
 
 
 def plug(root: Path, name: str, **files: str) -> None:
@@ -82,16 +82,16 @@ def test_choosing(monkeypatch: pytest.MonkeyPatch, usb: list[UsbDevice]) -> None
 
 def test_the_list_tells_what_the_sdk_does_not_see(monkeypatch: pytest.MonkeyPatch, usb: list[UsbDevice]) -> None:
     monkeypatch.setattr(sdk, "usb_devices", lambda: usb)
-    seen = MAKE.found([("A", "Toy 2"), ("B", "Toy 2")])
+    seen = MAKE.list_cameras([("A", "Toy 2"), ("B", "Toy 2")])
     assert [(each.spec, each.model, bool(each.problem)) for each in seen] == [
         ("toy:A", "Toy 2", False), ("toy:B", "Toy 2", True)
     ]  # fmt: skip
-    assert [bool(each.problem) for each in MAKE.found([("A", "Toy"), ("D", "Toy"), ("D", "Toy")])] == [
+    assert [bool(each.problem) for each in MAKE.list_cameras([("A", "Toy"), ("D", "Toy"), ("D", "Toy")])] == [
         False,
         True,
         True,
     ]
-    unseen = {each.serial: each.problem for each in MAKE.found([])}
+    unseen = {each.serial: each.problem for each in MAKE.list_cameras([])}
     assert set(unseen) == {"A", "B", "C"}
     assert "does not see it" in unseen["A"]
     assert "USB 2" in unseen["B"]
@@ -108,7 +108,7 @@ def test_why_it_failed(monkeypatch: pytest.MonkeyPatch, usb: list[UsbDevice]) ->
         ("A", "", "may be in use by another program$"),
     ):
         with pytest.raises(CameraError, match=told):
-            raise MAKE.failed("left", said, serial)
+            raise MAKE.start_error("left", said, serial)
 
 
 @pytest.mark.parametrize("change", [{"fx": 0.0}, {"fy": float("nan")}, {"depth_unit_m": 0.0}, {"width": 0}])

@@ -8,19 +8,19 @@ import pytest
 from virtual_time import VirtualTime
 
 from depthmocap.cameras import registry as cameras
-from depthmocap.cameras.modes import Mode, Wanted
-from depthmocap.cameras.pace import Pace
+from depthmocap.cameras.modes import Mode, ModeRequest
+from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.cameras.registry import CamerasSettings, find_cameras, list_cameras, make_sources, open_camera
 from depthmocap.cameras.source import (
     CLOSE_S,
     OPEN_S,
     CameraError,
+    ConnectedCamera,
     DepthFrame,
     DepthSource,
-    FoundCamera,
-    NoFrame,
-    place,
-    unsourced,
+    FrameTimeoutError,
+    missing_source_problems,
+    place_in_rig,
 )
 from depthmocap.core.console import Terminal
 from depthmocap.errors import InputError, missing_extra
@@ -49,7 +49,7 @@ class Scripted(DepthSource):
             raise self.failure
         if not self.frames:
             self.time.sleep(0.01)
-            raise NoFrame("none yet")
+            raise FrameTimeoutError("none yet")
         stamp = self.frames.pop(0)
         return DepthFrame("cam0", np.full((6, 8), stamp, np.uint16), stamp, "device 1", self.time.monotonic_ns())
 
@@ -107,12 +107,12 @@ def test_read_latest_skips_what_was_missed(virtual: VirtualTime) -> None:
 def test_read_latest_refuses_what_is_old(virtual: VirtualTime) -> None:
     source = Scripted(virtual)
     with source:
-        with pytest.raises(NoFrame, match="no frame yet"):
+        with pytest.raises(FrameTimeoutError, match="no frame yet"):
             source.read_latest(1.0)
         source.frames = [1]
         assert source.read_latest(5000.0).timestamp_ns == 1
         virtual.sleep(0.03)
-        with pytest.raises(NoFrame, match="the last frame is 40 ms old"):
+        with pytest.raises(FrameTimeoutError, match="the last frame is 40 ms old"):
             source.read_latest(10.0)
 
 
@@ -129,17 +129,17 @@ def test_a_camera_that_stays_silent_is_lost(virtual: VirtualTime) -> None:
     source = Scripted(virtual)
     with source:
         begun_s = virtual.monotonic()
-        with pytest.raises(NoFrame):
+        with pytest.raises(FrameTimeoutError):
             source.read()
         with pytest.raises(CameraError, match="was it unplugged") as caught:
             for _ in range(1000):
-                with contextlib.suppress(NoFrame):
+                with contextlib.suppress(FrameTimeoutError):
                     source.read()
-        assert not isinstance(caught.value, NoFrame)
-        assert virtual.monotonic() - begun_s == pytest.approx(source.patience_s, abs=0.02)
+        assert not isinstance(caught.value, FrameTimeoutError)
+        assert virtual.monotonic() - begun_s == pytest.approx(source.lost_after_s, abs=0.02)
         source.frames = [1]
         assert source.read() is not None  # patience begins anew
-        with pytest.raises(NoFrame):
+        with pytest.raises(FrameTimeoutError):
             source.read()
 
 
@@ -198,19 +198,19 @@ def test_the_end_of_a_recording_ends_read_latest(recording: Recording, virtual: 
 
 def test_real_time_keeps_time(recording: Recording, virtual: VirtualTime) -> None:
     begun_ns = virtual.monotonic_ns()
-    with RecordedCamera(recording, "cam0", Pace(1.0)) as source:
+    with RecordedCamera(recording, "cam0", PlaybackClock(1.0)) as source:
         arrivals = [frame.arrival_ns for frame in source]
     np.testing.assert_allclose(np.array(arrivals) - begun_ns, np.arange(4) * 20_000_000, atol=10)
-    with RecordedCamera(recording, "cam0", Pace(0.001)) as source:
+    with RecordedCamera(recording, "cam0", PlaybackClock(0.001)) as source:
         assert source.read(0.1) is not None
-        with pytest.raises(NoFrame):
+        with pytest.raises(FrameTimeoutError):
             source.read(0.01)
 
 
 @pytest.mark.parametrize("speed", [-1.0, float("nan"), float("inf")])
 def test_bad_speeds(speed: float) -> None:
     with pytest.raises(InputError, match="speed"):
-        Pace(speed)
+        PlaybackClock(speed)
 
 
 def test_a_frame_that_cannot_be_read_is_a_lost_one(recording: Recording) -> None:
@@ -224,17 +224,17 @@ def test_the_rig_places_a_camera_and_the_device_scales_it() -> None:
     pose = np.eye(4)
     pose[0, 3] = 2.0
     rig = Rig((DepthCamera("cam0", 8, 6, 9.0, 9.0, 4.0, 3.0, pose),))
-    placed = place(CAMERA, rig)
+    placed = place_in_rig(CAMERA, rig)
     assert (placed.fx, placed.depth_unit_m, placed.world_from_camera[0, 3]) == (9.0, 0.0005, 2.0)
     with pytest.raises(CameraError, match="calibrated at 8×6"):
-        place(DepthCamera("cam0", 16, 12, 9.0, 9.0, 4.0, 3.0), rig)
+        place_in_rig(DepthCamera("cam0", 16, 12, 9.0, 9.0, 4.0, 3.0), rig)
     with pytest.raises(CameraError, match="no camera 'other'"):
-        place(DepthCamera("other", 8, 6, 9.0, 9.0, 4.0, 3.0), rig)
-    assert unsourced(rig, ["cam0"]) == []
-    assert unsourced(rig, ["other"]) == [
+        place_in_rig(DepthCamera("other", 8, 6, 9.0, 9.0, 4.0, 3.0), rig)
+    assert missing_source_problems(rig, ["cam0"]) == []
+    assert missing_source_problems(rig, ["other"]) == [
         "the rig has a camera 'cam0', but no source of that name was given; going on without it"
     ]
-    assert unsourced(Rig((rig["cam0"], DepthCamera("b", 8, 6, 9.0, 9.0, 4.0, 3.0))), []) == [
+    assert missing_source_problems(Rig((rig["cam0"], DepthCamera("b", 8, 6, 9.0, 9.0, 4.0, 3.0))), []) == [
         "the rig has cameras 'cam0' and 'b', but no sources of those names were given; going on without them"
     ]
 
@@ -299,11 +299,11 @@ def test_a_zero_byte_is_in_no_spec() -> None:
 def test_the_usual_mode() -> None:
     sizes = ((1280, 720, 30), (640, 480, 15), (640, 480, 30), (640, 480, 90), (320, 240, 30))
     modes = [Mode(*each) for each in sizes]
-    assert Wanted().choose("left", modes) == 2
-    assert Wanted().choose("left", modes[:1]) == 0
-    assert Wanted(fps=90).choose("left", modes) == 3
-    assert Wanted(size=(320, 240)).choose("left", modes) == 4
-    assert Wanted.parse("x", "size=320×240&fps=30") == Wanted(size=(320, 240), fps=30)
+    assert ModeRequest().choose("left", modes) == 2
+    assert ModeRequest().choose("left", modes[:1]) == 0
+    assert ModeRequest(fps=90).choose("left", modes) == 3
+    assert ModeRequest(size=(320, 240)).choose("left", modes) == 4
+    assert ModeRequest.parse("x", "size=320×240&fps=30") == ModeRequest(size=(320, 240), fps=30)
 
 
 def test_a_recording_has_no_modes(recording: Recording) -> None:
@@ -315,18 +315,18 @@ def test_looking_for_cameras_never_fails(monkeypatch: pytest.MonkeyPatch, virtua
     """Every kind is listed, or told why not; one whose SDK fails or hangs does not keep the others from the list."""
     found, unable = find_cameras()
     assert {camera.spec.partition(":")[0] for camera in found} | set(unable) <= set(cameras.BACK_ENDS)
-    here = FoundCamera("orbbec:7", "Femto", "7", "")
+    here = ConnectedCamera("orbbec:7", "Femto", "7", "")
     hang = virtual.Event()
 
-    def fail() -> list[FoundCamera]:
+    def fail() -> list[ConnectedCamera]:
         raise RuntimeError("usb is broken")
 
-    def missing() -> list[FoundCamera]:
+    def missing() -> list[ConnectedCamera]:
         raise missing_extra("openni", "openni")
 
     looks = {"realsense": fail, "azure": hang.wait, "orbbec": lambda: [here], "openni": missing}
     for back_end, look in looks.items():
-        monkeypatch.setattr(f"{cameras.BACK_ENDS[back_end]}.find", look)
+        monkeypatch.setattr(f"{cameras.BACK_ENDS[back_end]}.find_cameras", look)
     monkeypatch.setattr(cameras, "BACK_ENDS", {name: cameras.BACK_ENDS[name] for name in looks})
     console = Terminal(record=True, width=150)
     assert list_cameras(CamerasSettings(), console) == [here]

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from virtual_time import VirtualTime
 
-from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, NoFrame
+from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, FrameTimeoutError
 from depthmocap.core.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
@@ -236,7 +236,7 @@ class Flickering(DepthSource):
         time.sleep(0.0005)
         self.number += 1
         if self.number % 3 == 0:
-            raise NoFrame("nothing yet")
+            raise FrameTimeoutError("nothing yet")
         if self.number % 50 == 0:
             raise RuntimeError("it was unplugged")
         now_ns = time.monotonic_ns()

@@ -12,8 +12,8 @@ from rich.console import Console
 pytest.importorskip("foxglove")
 pytest.importorskip("zstandard")
 
-from depthmocap.cameras.pace import Pace
-from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, NoFrame
+from depthmocap.cameras.playback_clock import PlaybackClock
+from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, FrameTimeoutError
 from depthmocap.core.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, look_at
@@ -168,7 +168,7 @@ class Silent(DepthSource):
         if self._lost:
             raise CameraError(self._lost)
         time.sleep(0.01)
-        raise NoFrame("nothing yet")
+        raise FrameTimeoutError("nothing yet")
 
     def _close(self) -> None:
         pass
@@ -245,7 +245,7 @@ class Heard(Topics):
 
 def test_replay_tells_everything_in_order(folder: Path) -> None:
     heard, recording = Heard(), Recording(folder)
-    assert play(recording, heard, Pace()) == 11
+    assert play(recording, heard, PlaybackClock()) == 11
     kinds = [kind for kind, _ in heard.told]
     assert kinds[0] == "rig"
     assert (kinds.count("a"), kinds.count("b"), kinds.count("truth"), kinds.count("rig")) == (5, 6, 6, 1)

@@ -8,7 +8,7 @@ import pytest
 from depth_scene import bands
 
 from depthmocap.body.skeleton import JOINTS
-from depthmocap.cameras.health import EQUAL
+from depthmocap.cameras.health import MAX_REPEATS
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, look_at
 from depthmocap.recordings.folder import Recording, RecordingWriter
@@ -177,7 +177,7 @@ def test_frames_of_a_stuck_camera_are_left_out(tmp_path: Path) -> None:
     recording = Recording(tmp_path / "rec")
     for _ in range(2):  # a second pass reports nothing twice
         seen = [{view.camera.name for view in frames.views} for frames in recording]
-        out = range(stuck[0] + EQUAL, stuck[-1] + 1)  # as many equal ones a camera that works may deliver
+        out = range(stuck[0] + MAX_REPEATS, stuck[-1] + 1)  # as many equal ones a camera that works may deliver
         assert [i for i, names in enumerate(seen) if "cam1" not in names] == list(out)
         assert [i for i, names in enumerate(seen) if "cam0" not in names] == [5, 6]
         assert all("cam2" in names for names in seen)

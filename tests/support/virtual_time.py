@@ -14,14 +14,14 @@ from typing import Any
 import camera_simulator
 import pytest
 
-from depthmocap.cameras import pace, source, time_limit
+from depthmocap.cameras import playback_clock, source, time_limit
 from depthmocap.realtime import gather, live_capture, live_command, multi_camera_reader, record
 from depthmocap.recordings import recorded_camera
 from depthmocap.synth import synthetic_camera
 
 MODULES: tuple[ModuleType, ...] = (
-    gather, live_capture, live_command, multi_camera_reader, pace, record, recorded_camera, camera_simulator, source,
-    synthetic_camera, time_limit,
+    gather, live_capture, live_command, multi_camera_reader, playback_clock, record, recorded_camera, camera_simulator,
+    source, synthetic_camera, time_limit,
 )  # fmt: skip
 
 

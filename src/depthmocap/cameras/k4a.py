@@ -1,7 +1,7 @@
-"""The few functions of the Azure Kinect SDK's C library (libk4a) that depth needs.
+"""The few functions of the Azure Kinect SDK's C library (libk4a) that depth capture needs.
 
-They are called by ctypes: the package that ships the library was built for NumPy 1 and cannot be imported beside
-NumPy 2. Orbbec's wrapper for its Femto cameras is a libk4a too, and is used where it is installed.
+They are called through ctypes, because the package that ships the library was built for NumPy 1 and cannot be imported
+beside NumPy 2. Orbbec's wrapper for its Femto cameras is also a libk4a, and is used where it is installed.
 """
 
 from __future__ import annotations
@@ -23,12 +23,15 @@ from numpy import ndarray
 from depthmocap.cameras.modes import Mode
 from depthmocap.errors import missing_extra
 
-#: The SDK's numbers: of no colour, of the depth modes by name and of the rates.
+#: The SDK's number for a colour camera that is switched off.
 _COLOR_OFF = 0
+#: The SDK's numbers of the depth modes, by name.
 _MODES = {"nfov-binned": 1, "nfov": 2, "wfov-binned": 3, "wfov": 4}
+#: The SDK's numbers of the frame rates, by frames a second.
 _RATES = {5: 0, 15: 1, 30: 2}
+#: The SDK's result when no frame came in time.
 _TIMEOUT = 2
-#: What there is, by the same names: the wide picture is read out at half the rate.
+#: The modes that a camera has, by the same names: the wide picture has half the rate.
 MODES = tuple(
     Mode(width, height, fps, name)
     for name, width, height, fastest in (
@@ -39,7 +42,7 @@ MODES = tuple(
 
 
 class K4aError(RuntimeError):
-    """A function of the SDK failed. It does not say why; its log does (with K4A_LOG_LEVEL=i in the environment)."""
+    """A function of the SDK failed. Only the SDK's log says why (set K4A_LOG_LEVEL=i in the environment)."""
 
 
 class _Configuration(ctypes.Structure):
@@ -78,7 +81,7 @@ class Lens(ctypes.Structure):
 
 
 class Calibration(ctypes.Structure):
-    """What the SDK tells of a camera in one mode."""
+    """The SDK's calibration of a camera in one mode."""
 
     _fields_ = (
         ("depth", Lens),
@@ -90,7 +93,7 @@ class Calibration(ctypes.Structure):
 
 
 _POINTER, _HANDLE = ctypes.c_void_p, ctypes.POINTER(ctypes.c_void_p)
-#: What each function returns, and takes.
+#: The result type and the argument types of each function.
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "k4a_device_get_installed_count": (ctypes.c_uint32, ()),
     "k4a_device_open": (ctypes.c_int, (ctypes.c_uint32, _HANDLE)),
@@ -114,20 +117,20 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
 
 
 def _candidates() -> Iterator[str]:
-    """The system's library, then that of the package pyk4a-bundle."""
-    if known := ctypes.util.find_library("k4a"):
-        yield known
+    """Paths of the library: the system's first, then those in the package pyk4a-bundle."""
+    if library := ctypes.util.find_library("k4a"):
+        yield library
     spec = importlib.util.find_spec("pyk4a")
     if spec is None or spec.origin is None:
         return
-    folder = Path(spec.origin).parent
-    folders = (folder, folder.parent / "pyk4a_bundle.libs")
-    # The SDK looks for its depth engine by name, and finds one that is loaded.
-    for engine in (each for place in folders for each in place.glob("*depthengine*")):
+    package = Path(spec.origin).parent
+    folders = (package, package.parent / "pyk4a_bundle.libs")
+    # The SDK looks up its depth engine by name, and finds one that is already loaded.
+    for engine in (path for folder in folders for path in folder.glob("*depthengine*")):
         with contextlib.suppress(OSError):
             ctypes.CDLL(str(engine), mode=ctypes.RTLD_GLOBAL)
-    for place in folders:
-        yield from (str(each) for pattern in ("libk4a[-.]*", "k4a.dll") for each in sorted(place.glob(pattern)))
+    for folder in folders:
+        yield from (str(path) for pattern in ("libk4a[-.]*", "k4a.dll") for path in sorted(folder.glob(pattern)))
 
 
 @functools.cache
@@ -137,7 +140,7 @@ def load() -> Any:
     Raises:
         InputError: when it is not installed.
     """
-    os.environ.setdefault("K4A_LOG_LEVEL", "c")  # it would print an error whenever no camera is connected
+    os.environ.setdefault("K4A_LOG_LEVEL", "c")  # otherwise it prints an error whenever no camera is connected
     for path in _candidates():
         with contextlib.suppress(OSError):
             return declare(ctypes.CDLL(path))
@@ -145,7 +148,7 @@ def load() -> Any:
 
 
 def declare(library: Any) -> Any:
-    """The library, with the types of its functions."""
+    """Declare the types of the library's functions; returns the library."""
     for name, (result, arguments) in _SIGNATURES.items():
         function = getattr(library, name)
         function.restype, function.argtypes = result, arguments
@@ -153,10 +156,10 @@ def declare(library: Any) -> Any:
 
 
 class Device:
-    """One camera, opened."""
+    """One opened camera."""
 
     def __init__(self, library: Any, index: int) -> None:
-        """Open it. Raises K4aError when it is in use, or this user may not."""
+        """Open the camera. Raises K4aError when it is in use, or this user may not open it."""
         self._sdk, self._handle = library, ctypes.c_void_p()
         self._running = False
         if library.k4a_device_open(index, ctypes.byref(self._handle)) != 0:
@@ -171,7 +174,7 @@ class Device:
         return text.value.decode(errors="replace")
 
     def start(self, mode: Mode) -> Lens:
-        """Start depth in one of ``MODES``; the calibration of its pictures. Raises K4aError."""
+        """Start depth in one of ``MODES``; returns the calibration of its pictures. Raises K4aError."""
         depth_mode = _MODES[mode.name]
         configuration = _Configuration(
             color_resolution=_COLOR_OFF, depth_mode=depth_mode, camera_fps=_RATES[mode.fps],
@@ -180,13 +183,13 @@ class Device:
         if self._sdk.k4a_device_start_cameras(self._handle, ctypes.byref(configuration)) != 0:
             raise K4aError("k4a_device_start_cameras failed")
         self._running = True
-        found = Calibration()
-        if self._sdk.k4a_device_get_calibration(self._handle, depth_mode, _COLOR_OFF, ctypes.byref(found)) != 0:
+        calibration = Calibration()
+        if self._sdk.k4a_device_get_calibration(self._handle, depth_mode, _COLOR_OFF, ctypes.byref(calibration)) != 0:
             raise K4aError("k4a_device_get_calibration failed")
-        return found.depth
+        return calibration.depth
 
     def depth(self, timeout_ms: int) -> tuple[UInt16[ndarray, "h w"], int] | None:
-        """The next depth (mm) and the device's time (µs); None when none came in time, or came without depth.
+        """The next depth picture (mm) and its device time (µs); None after a timeout, or for a capture without depth.
 
         Raises:
             K4aError: when the camera was lost.
@@ -214,7 +217,7 @@ class Device:
         return np.array(rows[:, :width]), sdk.k4a_image_get_device_timestamp_usec(image)
 
     def close(self) -> None:
-        """Stop and close it."""
+        """Stop and close the camera."""
         if self._running:
             self._sdk.k4a_device_stop_cameras(self._handle)
         self._sdk.k4a_device_close(self._handle)

@@ -1,7 +1,7 @@
 """Kinect 2 through libfreenect2 and its package ``freenect2``.
 
-Written from the sources of both; untested on hardware. libfreenect2 gives pictures as in a mirror; here they are
-turned back. Timestamps are by the camera's own clock, which counts in eighths of a millisecond.
+This module was written from the sources of both; it was not tested on hardware. libfreenect2 gives mirrored pictures,
+and this module turns them back. Timestamps are by the camera's own clock, which counts eighths of a millisecond.
 """
 
 from __future__ import annotations
@@ -17,26 +17,27 @@ from jaxtyping import Float32, UInt16
 from numpy import ndarray
 
 from depthmocap.cameras.lens import unmirrored
-from depthmocap.cameras.modes import Mode, Wanted
-from depthmocap.cameras.sdk import Make, checked
-from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, FoundCamera, NoFrame
+from depthmocap.cameras.modes import Mode, ModeRequest
+from depthmocap.cameras.sdk import CameraMake, checked
+from depthmocap.cameras.source import CameraError, ConnectedCamera, DepthFrame, DepthSource
 from depthmocap.geometry import DepthCamera
 
-#: The numbers are the sensor's for Xbox and the one's for Windows.
-MAKE = Make(
+#: USB product numbers: the sensor for Xbox, and the sensor for Windows.
+MAKE = CameraMake(
     "kinect2", "Kinect 2", "freenect2", "freenect2",
     lambda usb: usb.vendor == 0x045E and usb.product in (0x02C4, 0x02D8), usb3=True,
 )  # fmt: skip
-#: All that it can.
+#: The camera's only mode.
 _MODE = Mode(512, 424, 30)
-#: libfreenect2 gives depth as floats in millimetres; it is rounded to whole ones.
+#: Metres of one depth unit: libfreenect2 gives floats in millimetres, which are rounded to whole ones.
 _UNIT_M = 0.001
+#: Nanoseconds of one tick of the camera's clock.
 _TICK_NS = 125_000
-#: Where libfreenect2 has the centre of the first pixel, as it makes point clouds.
+#: Pixel coordinate of the first pixel's centre in libfreenect2.
 _CENTRE = 0.5
-#: Frames that wait to be read; when there are more, the oldest is dropped.
+#: Frames that may wait to be read; beyond that the oldest is dropped.
 _WAITING = 4
-#: libfreenect2 lists and opens devices from one thread at a time.
+#: libfreenect2 allows only one thread at a time to list and open devices.
 _LOCK = threading.Lock()
 
 
@@ -46,36 +47,36 @@ def _context(sdk: Any) -> Any:
 
 
 def _serials(sdk: Any) -> list[str]:
-    """The serial numbers of the connected devices, empty where the system does not tell them (the package does not)."""
+    """Serial numbers of the connected devices, from the operating system; empty if it does not tell them."""
     with _LOCK:
         count = sdk.lib.freenect2_enumerate_devices(_context(sdk))
-    on_usb = [device.serial for device in MAKE.connected()]
+    on_usb = [device.serial for device in MAKE.on_usb()]
     return on_usb if len(on_usb) == count else [""] * count
 
 
-def find() -> list[FoundCamera]:
+def find_cameras() -> list[ConnectedCamera]:
     """The connected cameras."""
-    return MAKE.found([(serial, MAKE.name) for serial in _serials(MAKE.load())])
+    return MAKE.list_cameras([(serial, MAKE.name) for serial in _serials(MAKE.load())])
 
 
-def make(name: str, address: str, wanted: Wanted) -> DepthSource:
-    """The camera with this serial number, or the first.
+def make_source(name: str, address: str, request: ModeRequest) -> DepthSource:
+    """The camera with this serial number, or the first one if ``address`` is empty.
 
     Raises:
-        MisfitError: when another mode is wanted than the one there is.
+        CameraMismatchError: when another mode is requested than the camera's only one.
     """
-    wanted.choose(name, (_MODE,))
+    request.choose(name, (_MODE,))
     return Kinect2(name, address)
 
 
 def to_raw(depth_mm: Float32[ndarray, "h w"]) -> UInt16[ndarray, "h w"]:
-    """Whole millimetres, 0 where libfreenect2 has no depth (not a number, infinite, or not positive), not mirrored."""
+    """Depth in whole millimetres, not mirrored; 0 where the input is NaN, infinite or not positive."""
     valid = (depth_mm > 0) & (depth_mm < 65535)  # false for NaN
     return np.rint(np.where(valid, depth_mm, 0)).astype(np.uint16)[:, ::-1].copy()
 
 
 class Kinect2(DepthSource):
-    """One camera's depth (512×424, 30 a second). libfreenect2 reads and decodes colour as well; it is thrown away."""
+    """One camera's depth (512×424, 30 frames a second). libfreenect2 also decodes colour, which is not used."""
 
     def __init__(self, name: str, serial: str = "") -> None:
         super().__init__(name)
@@ -97,12 +98,12 @@ class Kinect2(DepthSource):
         try:
             self._device = sdk.Device(reference)
         except sdk.NoDeviceError as error:
-            raise MAKE.failed(self.name, error, self._serial) from None
-        self._device.start(self._take)
+            raise MAKE.start_error(self.name, error, self._serial) from None
+        self._device.start(self._receive)
         try:
             lens = self._device.ir_camera_params
-            if not lens.fx > 0:  # the package does not tell that starting failed
-                raise MAKE.failed(self.name, "libfreenect2 did not start it", self._serial)
+            if not lens.fx > 0:  # the package does not report a failed start
+                raise MAKE.start_error(self.name, "libfreenect2 did not start it", self._serial)
             return unmirrored(checked(DepthCamera(
                 self.name, _MODE.width, _MODE.height, lens.fx, lens.fy, lens.cx - _CENTRE, lens.cy - _CENTRE,
                 distortion=(lens.k1, lens.k2, lens.p1, lens.p2, lens.k3), depth_unit_m=_UNIT_M,
@@ -111,17 +112,17 @@ class Kinect2(DepthSource):
             self._close()
             raise
 
-    def _take(self, kind: Any, frame: Any) -> None:
-        """Called by a thread of libfreenect2, with every frame of every kind."""
+    def _receive(self, kind: Any, frame: Any) -> None:
+        """Queue a depth frame. A thread of libfreenect2 calls this with every frame of every kind."""
         arrival_ns = time.monotonic_ns()
         if kind is not self._sdk.FrameType.Depth or frame.status:
             return
         clock = f"kinect2 {self._serial or self.name} device"
         raw = to_raw(frame.to_array())
-        made = DepthFrame(self.name, raw, frame.timestamp * _TICK_NS, clock, arrival_ns, frame.sequence)
+        depth_frame = DepthFrame(self.name, raw, frame.timestamp * _TICK_NS, clock, arrival_ns, frame.sequence)
         while True:
             try:
-                self._frames.put_nowait(made)
+                self._frames.put_nowait(depth_frame)
                 return
             except queue.Full:
                 try:
@@ -133,7 +134,7 @@ class Kinect2(DepthSource):
         try:
             return self._frames.get(timeout=timeout_s)
         except queue.Empty:
-            raise NoFrame(f"camera {self.name!r} gave no frame for {timeout_s:.1f} s: is it still connected?") from None
+            raise self._frame_timeout(timeout_s) from None
 
     def _close(self) -> None:
         self._device.stop()

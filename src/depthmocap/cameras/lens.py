@@ -10,20 +10,26 @@ from numpy import ndarray
 
 from depthmocap.geometry import DepthCamera
 
-#: Half the diagonal field of view (tangent) of a camera of 75° × 65°.
-NARROW = 1.0
+#: Tangent of half the diagonal field of view of a camera with 75° × 65°.
+NARROW_FOV_TAN = 1.0
 
 
-def five_coefficients(eight: Float[ndarray, "8"], field: float = NARROW) -> tuple[float, float, float, float, float]:
-    """k1, k2, p1, p2, k3 nearest to OpenCV's rational lens model (k1, k2, p1, p2, k3, k4, k5, k6) over half the field
-    of view, which is given as its tangent.
+def five_coefficients(
+    coefficients: Float[ndarray, "8"], fov_tan: float = NARROW_FOV_TAN
+) -> tuple[float, float, float, float, float]:
+    """The lens model k1, k2, p1, p2, k3 that is nearest to OpenCV's rational model.
 
-    Least squares of the radial factor at radii weighted by the pixels there; the tangential part is the same.
+    The radial factor is fitted by least squares over radii that are weighted by their number of pixels. The tangential
+    part stays the same.
+
+    Args:
+        coefficients: k1, k2, p1, p2, k3, k4, k5, k6 of the rational model.
+        fov_tan: tangent of half the field of view over which the models shall agree.
     """
-    k1, k2, p1, p2, k3, k4, k5, k6 = eight.tolist()
+    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients.tolist()
     if not (k4 or k5 or k6):
         return k1, k2, p1, p2, k3
-    r2 = np.linspace(0, field, 200) ** 2
+    r2 = np.linspace(0, fov_tan, 200) ** 2
     factor = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
     powers = np.stack([r2, r2**2, r2**3], 1)
     weight = r2[:, None] ** 0.75  # displacement is radius × factor, and pixels grow with the radius
@@ -32,6 +38,6 @@ def five_coefficients(eight: Float[ndarray, "8"], field: float = NARROW) -> tupl
 
 
 def unmirrored(camera: DepthCamera) -> DepthCamera:
-    """The camera whose picture is the other's, turned left to right."""
+    """The camera of the picture that is flipped from left to right."""
     k1, k2, p1, p2, k3 = camera.distortion
     return dataclasses.replace(camera, cx=camera.width - 1 - camera.cx, distortion=(k1, k2, p1, -p2, k3))

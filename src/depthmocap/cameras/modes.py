@@ -1,4 +1,4 @@
-"""The mode that a camera is asked for: what a user types after ``?``, as in ``azure:SERIAL?mode=nfov&fps=15``."""
+"""Modes of cameras, and the mode that a user requests after ``?``, as in ``azure:SERIAL?mode=nfov&fps=15``."""
 
 from __future__ import annotations
 
@@ -6,18 +6,20 @@ import dataclasses
 import re
 from collections.abc import Iterable, Sequence
 
-from depthmocap.cameras.source import MisfitError
+from depthmocap.cameras.source import CameraMismatchError
 from depthmocap.errors import InputError
 
-#: The size and rate that cameras with several are asked for where the user says nothing, as near as they have it.
-SIZE, FPS = (640, 480), 30
-#: What can be asked for, and the form of its value.
+#: Width and height in pixels that are chosen, as nearly as a camera has them, if the user requests none.
+DEFAULT_SIZE = (640, 480)
+#: Frames a second that are chosen, as nearly as a camera has them, if the user requests none.
+DEFAULT_FPS = 30
+#: The options of a request, and the pattern of their values.
 _FORMS = {"mode": r"[\w.-]+", "size": r"[1-9]\d{0,4}[x×][1-9]\d{0,4}", "fps": r"[1-9]\d{0,2}"}
 
 
 @dataclasses.dataclass(frozen=True)
 class Mode:
-    """One of the ways in which a camera delivers: pixels, frames a second, and what its maker calls it."""
+    """One mode of a camera: width and height in pixels, frames a second, and the maker's name for it."""
 
     width: int
     height: int
@@ -26,62 +28,68 @@ class Mode:
 
 
 @dataclasses.dataclass(frozen=True)
-class Wanted:
-    """What the user asks of a camera's mode; what is not asked for is left to ``choose``."""
+class ModeRequest:
+    """The user's request for a camera's mode; ``choose`` fills in what is left open."""
 
     name: str = ""
     size: tuple[int, int] | None = None
     fps: int | None = None
 
     @classmethod
-    def parse(cls, spec: str, asked: str) -> Wanted:
-        """What stands after the ``?`` of a spec.
+    def parse(cls, spec: str, text: str) -> ModeRequest:
+        """Read the text after the ``?`` of a camera's spec.
 
         Raises:
             InputError: when it is not of the form ``mode=NAME&size=WIDTHxHEIGHT&fps=NUMBER``, or parts of it.
         """
-        found: dict[str, str] = {}
-        for part in asked.split("&"):
+        values: dict[str, str] = {}
+        for part in text.split("&"):
             key, _, value = part.partition("=")
-            if key in found or not re.fullmatch(_FORMS.get(key, r"(?!)"), value):
+            if key in values or not re.fullmatch(_FORMS.get(key, r"(?!)"), value):
                 raise InputError(
                     f"{spec}: after the ? stand mode=NAME, size=WIDTHxHEIGHT or fps=NUMBER, or several of them "
                     f"joined by &, got {part!r}"
                 )
-            found[key] = value
-        width, _, height = found.get("size", "").replace("×", "x").partition("x")
+            values[key] = value
+        width, _, height = values.get("size", "").replace("×", "x").partition("x")
         return cls(
-            found.get("mode", ""), (int(width), int(height)) if width else None,
-            int(found["fps"]) if "fps" in found else None,
+            values.get("mode", ""), (int(width), int(height)) if width else None,
+            int(values["fps"]) if "fps" in values else None,
         )  # fmt: skip
 
-    def choose(self, camera: str, modes: Sequence[Mode], usual: tuple[int, int] = SIZE, usual_fps: int = FPS) -> int:
-        """Which of a camera's modes is asked for; of several the nearest to the usual size, then to the usual rate.
+    def choose(
+        self,
+        camera: str,
+        modes: Sequence[Mode],
+        default_size: tuple[int, int] = DEFAULT_SIZE,
+        default_fps: int = DEFAULT_FPS,
+    ) -> int:
+        """Index of the requested mode; among several, the one nearest to the default size, then to the default rate.
 
         Raises:
-            MisfitError: when it has none such; the message lists what it has.
+            CameraMismatchError: when the camera has no such mode; the message lists what it has.
         """
-        left, given = list(range(len(modes))), ""
-        for what, asked, of in (
+        candidates, chosen = list(range(len(modes))), ""
+        for option, value, value_of in (
             ("mode", self.name, lambda mode: mode.name),
             ("size", self.size, lambda mode: (mode.width, mode.height)),
             ("fps", self.fps, lambda mode: mode.fps),
         ):
-            if not asked:
+            if not value:
                 continue
-            fit = [index for index in left if of(modes[index]) == asked]
-            if not fit:
-                raise MisfitError(
-                    f"camera {camera!r} has no {what}={_text(asked)}{given and f' with {given[1:]}'}: it has "
-                    f"{_listed(of(modes[index]) for index in left) or 'no modes with names'}"
+            matching = [index for index in candidates if value_of(modes[index]) == value]
+            if not matching:
+                raise CameraMismatchError(
+                    f"camera {camera!r} has no {option}={_text(value)}{chosen and f' with {chosen[1:]}'}: it has "
+                    f"{_listed(value_of(modes[index]) for index in candidates) or 'no modes with names'}"
                 )
-            left, given = fit, f"{given}&{what}={_text(asked)}"
+            candidates, chosen = matching, f"{chosen}&{option}={_text(value)}"
 
         def distance(index: int) -> tuple[int, int]:
             mode = modes[index]
-            return abs(mode.width - usual[0]) + abs(mode.height - usual[1]), abs(mode.fps - usual_fps)
+            return abs(mode.width - default_size[0]) + abs(mode.height - default_size[1]), abs(mode.fps - default_fps)
 
-        return min(left, key=distance)
+        return min(candidates, key=distance)
 
 
 def _text(value: object) -> str:
@@ -89,5 +97,5 @@ def _text(value: object) -> str:
 
 
 def _listed(values: Iterable[object]) -> str:
-    """Each of them once, in order, as a user types them."""
+    """Each value once, sorted, as a user types it."""
     return ", ".join(_text(value) for value in sorted({value for value in values if value}))  # type: ignore[type-var]

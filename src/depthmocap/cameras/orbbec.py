@@ -1,7 +1,7 @@
 """Orbbec cameras (Femto, Gemini, Astra), and the bag files that their SDK's viewer records, through ``pyorbbecsdk2``.
 
-Written from the SDK's documentation and the signatures of its package; untested on hardware. Timestamps are by the
-camera's own clock.
+This module was written from the SDK's documentation and the signatures of its package; it was not tested on hardware.
+Timestamps are by the camera's own clock.
 """
 
 from __future__ import annotations
@@ -13,82 +13,83 @@ from typing import Any
 import numpy as np
 
 from depthmocap.cameras.lens import five_coefficients
-from depthmocap.cameras.modes import Mode, Wanted
-from depthmocap.cameras.sdk import Make, checked
-from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, FoundCamera, NoFrame
+from depthmocap.cameras.modes import Mode, ModeRequest
+from depthmocap.cameras.sdk import CameraMake, checked
+from depthmocap.cameras.source import CameraError, ConnectedCamera, DepthFrame, DepthSource, FrameTimeoutError
 from depthmocap.geometry import DepthCamera
 
-MAKE = Make("orbbec", "Orbbec camera", "pyorbbecsdk2", "pyorbbecsdk", lambda usb: usb.vendor == 0x2BC5)
-#: A camera's first frame tells the depth scale; it may take so long.
-_FIRST_S = 5.0
+MAKE = CameraMake("orbbec", "Orbbec camera", "pyorbbecsdk2", "pyorbbecsdk", lambda usb: usb.vendor == 0x2BC5)
+#: How long to wait (seconds) for a camera's first frame, which tells the depth scale.
+_FIRST_FRAME_S = 5.0
+#: Name ending of the recordings of the SDK's viewer.
 BAG = ".bag"
 #: The SDK's names of the lens models that ``five_coefficients`` covers.
 _LENSES = ("NONE", "BROWN_CONRADY", "BROWN_CONRADY_K6")
 
 
-def _quiet(sdk: Any) -> None:
-    """The SDK would write a folder Log where the user happens to be."""
+def _disable_log_file(sdk: Any) -> None:
+    """Without this, the SDK writes a folder Log into the current folder."""
     sdk.Context.set_logger_to_file(sdk.OBLogLevel.NONE, "")
 
 
 def _devices(sdk: Any) -> tuple[Any, list[str]]:
     """The SDK's list of devices, and their serial numbers."""
-    _quiet(sdk)
+    _disable_log_file(sdk)
     devices = sdk.Context().query_devices()
     return devices, [devices.get_device_serial_number_by_index(index) for index in range(devices.get_count())]
 
 
-def find() -> list[FoundCamera]:
-    """The connected cameras, on USB and in the network."""
+def find_cameras() -> list[ConnectedCamera]:
+    """The cameras that are connected by USB or network."""
     devices, serials = _devices(MAKE.load())
-    return MAKE.found([(serial, devices.get_device_name_by_index(i)) for i, serial in enumerate(serials)])
+    return MAKE.list_cameras([(serial, devices.get_device_name_by_index(i)) for i, serial in enumerate(serials)])
 
 
-def make(name: str, address: str, wanted: Wanted) -> DepthSource:
-    """The camera with this serial number, or the first; or a bag file."""
-    return OrbbecCamera(name, address, wanted)
+def make_source(name: str, address: str, request: ModeRequest) -> DepthSource:
+    """The camera with this serial number, a bag file, or the first camera if ``address`` is empty."""
+    return OrbbecCamera(name, address, request)
 
 
 class OrbbecCamera(DepthSource):
-    """One camera's depth, at the 16-bit mode nearest to the wanted size and rate. A file plays at its own speed."""
+    """One camera's depth, in the 16-bit mode nearest to the requested size and rate. A file plays at its own speed."""
 
-    def __init__(self, name: str, address: str = "", wanted: Wanted | None = None) -> None:
+    def __init__(self, name: str, address: str = "", request: ModeRequest | None = None) -> None:
         super().__init__(name)
-        self._wanted = wanted or Wanted()
+        self._request = request or ModeRequest()
         self._file = Path(address) if address.lower().endswith(BAG) else None
         self._serial = "" if self._file else address
         self.reopens = self._file is None
 
     def _open(self) -> DepthCamera:
         sdk = self._sdk = MAKE.load()
-        device = self._device = self._play(self._file) if self._file else self._connected()
+        device = self._device = self._open_file(self._file) if self._file else self._choose_device()
         try:
             self._pipeline = sdk.Pipeline(device)
-            profile = self._mode(self._pipeline.get_stream_profile_list(sdk.OBSensorType.DEPTH_SENSOR))
+            profile = self._choose_profile(self._pipeline.get_stream_profile_list(sdk.OBSensorType.DEPTH_SENSOR))
             config = sdk.Config()
             config.enable_stream(profile)
             self._pipeline.start(config)
         except (sdk.OBError, RuntimeError) as error:
-            raise MAKE.failed(self.name, error, self._serial) from None
+            raise MAKE.start_error(self.name, error, self._serial) from None
         try:
-            first = self._frame(_FIRST_S)
+            first = self._frame(_FIRST_FRAME_S)
             camera = self._describe(profile, first)
         except CameraError:
             self._close()
             raise
-        self._waiting: Any = first
+        self._first_frame: Any = first
         return camera
 
-    def _connected(self) -> Any:
+    def _choose_device(self) -> Any:
         devices, serials = _devices(self._sdk)
         index = MAKE.choose(serials, self._serial)
         self._serial = serials[index]
         return devices.get_device_by_index(index)
 
-    def _play(self, file: Path) -> Any:
+    def _open_file(self, file: Path) -> Any:
         if not file.is_file():
             raise CameraError(f"{file} does not exist")
-        _quiet(self._sdk)
+        _disable_log_file(self._sdk)
         try:
             device = self._sdk.PlaybackDevice(str(file))
             self._serial = device.get_device_info().get_serial_number()
@@ -96,49 +97,51 @@ class OrbbecCamera(DepthSource):
             raise CameraError(f"{file} is no bag file of an Orbbec camera ({error})") from None
         return device
 
-    def _over(self) -> bool:
-        """Whether a file was played to its end."""
+    def _file_ended(self) -> bool:
+        """Whether the file was played to its end."""
         return self._file is not None and self._device.get_playback_status() == self._sdk.OBPlaybackStatus.STOPPED
 
-    def _mode(self, profiles: Any) -> Any:
+    def _choose_profile(self, profiles: Any) -> Any:
         formats = (self._sdk.OBFormat.Y16, self._sdk.OBFormat.Z16)
-        every = [profiles.get_stream_profile_by_index(i) for i in range(profiles.get_count())]
-        depth = [each.as_video_stream_profile() for each in every if each.get_format() in formats]
+        profiles_listed = [profiles.get_stream_profile_by_index(i) for i in range(profiles.get_count())]
+        depth = [profile.as_video_stream_profile() for profile in profiles_listed if profile.get_format() in formats]
         if not depth:
             raise CameraError(f"camera {self.name!r} has no 16-bit depth stream")
-        modes = [Mode(each.get_width(), each.get_height(), each.get_fps()) for each in depth]
-        return depth[self._wanted.choose(self.name, modes)]
+        modes = [Mode(profile.get_width(), profile.get_height(), profile.get_fps()) for profile in depth]
+        return depth[self._request.choose(self.name, modes)]
 
     def _describe(self, profile: Any, frame: Any) -> DepthCamera:
         intrinsic, lens = profile.get_intrinsic(), profile.get_distortion()
-        eight = np.array([getattr(lens, each) for each in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")], np.float64)
+        coefficients = np.array(
+            [getattr(lens, name) for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")], np.float64
+        )
         model = getattr(lens, "model", None)  # the package's first versions do not tell it
-        if model is not None and model.name not in _LENSES and eight.any():
+        if model is not None and model.name not in _LENSES and coefficients.any():
             raise CameraError(f"camera {self.name!r} has the lens model {model.name}: expected Brown-Conrady")
-        # The SDK's scale is millimetres a unit.
+        # The SDK gives the depth scale in millimetres.
         return checked(DepthCamera(
             self.name, frame.get_width(), frame.get_height(), intrinsic.fx, intrinsic.fy, intrinsic.cx, intrinsic.cy,
-            distortion=five_coefficients(eight), depth_unit_m=frame.get_depth_scale() / 1000,
+            distortion=five_coefficients(coefficients), depth_unit_m=frame.get_depth_scale() / 1000,
         ))  # fmt: skip
 
     def _frame(self, timeout_s: float) -> Any:
         """The SDK's next depth frame."""
-        until = time.monotonic() + timeout_s
-        while (left_s := until - time.monotonic()) > 0:
+        deadline_s = time.monotonic() + timeout_s
+        while (left_s := deadline_s - time.monotonic()) > 0:
             try:
                 frames = self._pipeline.wait_for_frames(max(1, round(left_s * 1e3)))
             except (self._sdk.OBError, RuntimeError) as error:
                 raise CameraError(f"camera {self.name!r} failed: {error}") from None
             if frames is not None and (depth := frames.get_depth_frame()) is not None:
                 return depth
-        raise NoFrame(f"camera {self.name!r} gave no frame for {timeout_s:.1f} s: is it still connected?")
+        raise self._frame_timeout(timeout_s)
 
     def _read(self, timeout_s: float) -> DepthFrame | None:
-        over = self._over()  # before it is known that nothing waits
+        ended = self._file_ended()  # asked first: frames may still wait after the file has ended
         try:
-            frame, self._waiting = self._waiting or self._frame(timeout_s), None
-        except NoFrame:
-            if over:
+            frame, self._first_frame = self._first_frame or self._frame(timeout_s), None
+        except FrameTimeoutError:
+            if ended:
                 return None
             raise
         arrival_ns = time.monotonic_ns()

@@ -1,8 +1,8 @@
 """Intel RealSense depth cameras through ``pyrealsense2``.
 
-The depth sensor is opened by itself, without the SDK's pipeline: nothing is queued behind other streams, and the SDK's
-``software_device`` serves in place of a camera in the tests. Timestamps are by the camera's own clock, or by the
-host's where the SDK translates them (``global_time``).
+The depth sensor is opened directly, without the SDK's pipeline. So depth never waits for other streams, and tests can
+use the SDK's ``software_device`` in place of a camera. Timestamps are by the camera's own clock, or by the host's clock
+where the SDK converts them (``global_time``).
 """
 
 from __future__ import annotations
@@ -14,51 +14,52 @@ from typing import Any
 
 import numpy as np
 
-from depthmocap.cameras.modes import Mode, Wanted
-from depthmocap.cameras.sdk import Make, checked
-from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, FoundCamera, NoFrame
+from depthmocap.cameras.modes import Mode, ModeRequest
+from depthmocap.cameras.sdk import CameraMake, checked
+from depthmocap.cameras.source import CameraError, ConnectedCamera, DepthFrame, DepthSource
 from depthmocap.geometry import DepthCamera
 
-MAKE = Make(
+MAKE = CameraMake(
     "realsense", "RealSense camera", "pyrealsense2", "pyrealsense2",
     lambda usb: usb.vendor == 0x8086 and "realsense" in usb.name.lower(), usb3=True,
 )  # fmt: skip
-_QUEUE = 4
+#: Frames that the SDK may keep for reading.
+_QUEUE_FRAMES = 4
 
 
-def _info(rs: Any, device: Any, what: str) -> str:
-    item = getattr(rs.camera_info, what)
+def _info(rs: Any, device: Any, field: str) -> str:
+    item = getattr(rs.camera_info, field)
     return device.get_info(item) if device.supports(item) else ""
 
 
 @functools.cache
 def _context() -> Any:
-    """The SDK's context, one for as long as the process runs: when one is closed, the SDK writes statistics of use into
-    the user's home folder, and has no switch for that."""
+    """The SDK's context, kept for as long as the process runs: closing one makes the SDK write usage statistics into
+    the user's home folder, and no option prevents that."""
     context = MAKE.load().context()
-    ctypes.pythonapi.Py_IncRef(ctypes.py_object(context))  # so that Python does not close it at its own end, either
+    ctypes.pythonapi.Py_IncRef(ctypes.py_object(context))  # so that Python does not close it when it exits
     return context
 
 
-def find() -> list[FoundCamera]:
+def find_cameras() -> list[ConnectedCamera]:
     """The connected cameras."""
     rs = MAKE.load()
     devices = list(_context().query_devices())
-    return MAKE.found([(_info(rs, device, "serial_number"), _info(rs, device, "name")) for device in devices])
+    return MAKE.list_cameras([(_info(rs, device, "serial_number"), _info(rs, device, "name")) for device in devices])
 
 
-def make(name: str, address: str, wanted: Wanted) -> DepthSource:
-    """The camera with this serial number, or the first."""
-    return RealSenseCamera(name, address, wanted)
+def make_source(name: str, address: str, request: ModeRequest) -> DepthSource:
+    """The camera with this serial number, or the first one if ``address`` is empty."""
+    return RealSenseCamera(name, address, request)
 
 
 class RealSenseCamera(DepthSource):
-    """One RealSense camera's depth, at the profile nearest to the wanted size and rate."""
+    """One RealSense camera's depth, with the profile nearest to the requested size and rate."""
 
-    def __init__(self, name: str, serial: str = "", wanted: Wanted | None = None, device: Any = None) -> None:
-        """``device`` is used instead of looking for one."""
+    def __init__(self, name: str, serial: str = "", request: ModeRequest | None = None, device: Any = None) -> None:
+        """``device``, if given, is used instead of searching for one."""
         super().__init__(name)
-        self._serial, self._wanted, self._device = serial, wanted or Wanted(), device
+        self._serial, self._request, self._device = serial, request or ModeRequest(), device
 
     def _open(self) -> DepthCamera:
         rs = MAKE.load()
@@ -69,20 +70,20 @@ class RealSenseCamera(DepthSource):
         self._serial = _info(rs, device, "serial_number")
         sensor = device.first_depth_sensor()
         profiles = [
-            each.as_video_stream_profile()
-            for each in sensor.get_stream_profiles()
-            if each.stream_type() == rs.stream.depth and each.format() == rs.format.z16
+            profile.as_video_stream_profile()
+            for profile in sensor.get_stream_profiles()
+            if profile.stream_type() == rs.stream.depth and profile.format() == rs.format.z16
         ]
         if not profiles:
             raise CameraError(f"camera {self.name!r} has no 16-bit depth stream")
-        modes = [Mode(each.width(), each.height(), each.fps()) for each in profiles]
-        profile = profiles[self._wanted.choose(self.name, modes)]
-        self._queue = rs.frame_queue(_QUEUE)
+        modes = [Mode(profile.width(), profile.height(), profile.fps()) for profile in profiles]
+        profile = profiles[self._request.choose(self.name, modes)]
+        self._queue = rs.frame_queue(_QUEUE_FRAMES)
         try:
             sensor.open(profile)
             sensor.start(self._queue)
         except RuntimeError as error:
-            raise MAKE.failed(self.name, error, self._serial) from None
+            raise MAKE.start_error(self.name, error, self._serial) from None
         self._sensor = sensor
         try:
             return self._describe(rs, profile.get_intrinsics())
@@ -104,16 +105,16 @@ class RealSenseCamera(DepthSource):
         return devices[MAKE.choose([_info(rs, device, "serial_number") for device in devices], self._serial)]
 
     def _read(self, timeout_s: float) -> DepthFrame | None:
-        came, frame = self._queue.try_wait_for_frame(max(1, round(timeout_s * 1e3)))
+        arrived, frame = self._queue.try_wait_for_frame(max(1, round(timeout_s * 1e3)))
         arrival_ns = time.monotonic_ns()
-        if not came:
-            raise NoFrame(f"camera {self.name!r} gave no frame for {timeout_s:.1f} s: is it still connected?")
+        if not arrived:
+            raise self._frame_timeout(timeout_s)
         domain = frame.frame_timestamp_domain.name
         clock = f"realsense {self._serial} {domain}" if domain == "hardware_clock" else f"host {domain}"
         raw = np.array(frame.as_depth_frame().get_data(), np.uint16)  # a copy: the SDK reuses its buffers
-        # Milliseconds as a float: exact to a microsecond for thousands of years of a hardware clock.
-        stamp_ns = round(frame.get_timestamp() * 1e3) * 1000
-        return DepthFrame(self.name, raw, stamp_ns, clock, arrival_ns, frame.frame_number)
+        # The SDK gives milliseconds as a float, which is exact to a microsecond for thousands of years.
+        timestamp_ns = round(frame.get_timestamp() * 1e3) * 1000
+        return DepthFrame(self.name, raw, timestamp_ns, clock, arrival_ns, frame.frame_number)
 
     def _close(self) -> None:
         self._sensor.stop()

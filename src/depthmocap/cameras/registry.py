@@ -1,4 +1,4 @@
-"""Cameras by name: what a user types to open one, and ``depthmocap cameras``, the list of those that are connected."""
+"""Opens cameras by the text that a user types, and lists the connected ones (``depthmocap cameras``)."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from depthmocap.cameras.modes import Wanted
-from depthmocap.cameras.pace import Pace
-from depthmocap.cameras.source import OPEN_S, CameraError, DepthSource, FoundCamera
-from depthmocap.cameras.time_limit import HangsError, within
+from depthmocap.cameras.modes import ModeRequest
+from depthmocap.cameras.playback_clock import PlaybackClock
+from depthmocap.cameras.source import OPEN_S, CameraError, ConnectedCamera, DepthSource
+from depthmocap.cameras.time_limit import CallTimeoutError, call_with_timeout
 from depthmocap.core.console import Terminal
 from depthmocap.core.names import safe_name
 from depthmocap.errors import InputError
 
-#: Module of each back end. It has ``find()``, the connected devices, and ``make(name, address, wanted)``, a source.
+#: The module of each back end. It has ``find_cameras()``, which lists the connected devices, and
+#: ``make_source(name, address, request)``, which gives a source.
 BACK_ENDS = {
     "realsense": "depthmocap.cameras.realsense",
     "azure": "depthmocap.cameras.azure_kinect",
@@ -27,84 +28,87 @@ BACK_ENDS = {
     "kinect2": "depthmocap.cameras.kinect2",
     "openni": "depthmocap.cameras.openni",
 }
-#: Modules of what is played like cameras. Each has ``make_sources(address, wanted, pace)``, the cameras of one take;
-#: they stand above this package and are found by their names.
+#: Names of the two kinds of source that are played like cameras.
 RECORDED, SYNTHETIC = "recording", "synthetic"
+#: Their modules. Each has ``make_sources(address, request, playback_clock)``, which gives the cameras of one recording
+#: or scene. They belong to higher packages, so they are imported by name.
 _PLAYED = {RECORDED: "depthmocap.recordings.recorded_camera", SYNTHETIC: "depthmocap.synth.synthetic_camera"}
-#: Recordings of SDKs that are given like cameras.
+#: Name endings of SDK recordings that stand as the address of a camera.
 _FILES = (".oni", ".bag")
 
 
 @dataclasses.dataclass(frozen=True)
 class _Spec:
-    """What a user types for a camera: ``[NAME=]KIND[:ADDRESS][?MODE]``, or ``synthetic[#NAME][?MODE]``."""
+    """The text for a camera: ``[NAME=]KIND[:ADDRESS][?MODE]``, or ``synthetic[#NAME][?MODE]``."""
 
     name: str
     kind: str
     address: str
-    wanted: Wanted
+    request: ModeRequest
 
     @classmethod
     def parse(cls, spec: str) -> _Spec | None:
-        """Its parts; None where it names no kind of camera.
+        """Split the text into its parts; None if it names no kind of camera.
 
         Raises:
-            InputError: when what stands after the ``?`` asks for no mode.
+            InputError: when the text after the ``?`` is not a mode.
         """
         device = rf"(?:(?P<name>.*?)=)??(?P<kind>{'|'.join(BACK_ENDS)})(?::(?P<address>.*?))?"
         # No slash in it: URIs of OpenNI on Windows have a question mark too.
-        asked = r"(?:\?(?P<asked>[^?/\\]*))?"
-        found = re.fullmatch(rf"(?:{device}|{SYNTHETIC}(?:#(?P<one>.*?))?){asked}", spec, re.DOTALL)
-        if found is None:
+        mode = r"(?:\?(?P<asked>[^?/\\]*))?"
+        match = re.fullmatch(rf"(?:{device}|{SYNTHETIC}(?:#(?P<one>.*?))?){mode}", spec, re.DOTALL)
+        if match is None:
             return None
-        if found["kind"] is None:
-            address = found["one"] or ""
+        if match["kind"] is None:
+            address = match["one"] or ""
         else:
-            address = found["address"] or ""
-            if found["asked"] is not None and Path(whole := f"{address}?{found['asked']}").exists():
-                return cls(found["name"] or "", found["kind"], whole, Wanted())
-        wanted = Wanted() if found["asked"] is None else Wanted.parse(spec, found["asked"])
-        return cls(found["name"] or "", found["kind"] or SYNTHETIC, address, wanted)
+            address = match["address"] or ""
+            if match["asked"] is not None and Path(whole := f"{address}?{match['asked']}").exists():
+                return cls(match["name"] or "", match["kind"], whole, ModeRequest())
+        request = ModeRequest() if match["asked"] is None else ModeRequest.parse(spec, match["asked"])
+        return cls(match["name"] or "", match["kind"] or SYNTHETIC, address, request)
 
 
 def make_sources(
-    specs: Sequence[str], pace: Pace | None = None, tell: Callable[[str], None] = lambda line: None
+    specs: Sequence[str], playback_clock: PlaybackClock | None = None, tell: Callable[[str], None] = lambda line: None
 ) -> list[DepthSource]:
-    """Sources, not opened yet, by what a user types.
+    """Make unopened sources from the texts that a user types.
 
-    ``[NAME=]realsense[:SERIAL]`` and the like are devices, the first that is found without a serial number, each with
-    ``?mode=NAME&size=WIDTHxHEIGHT&fps=NUMBER`` or part of that; a path is a recording with all its cameras,
-    ``PATH#NAME`` one of them; ``synthetic`` is the generator, ``synthetic#NAME`` one of its cameras.
+    ``[NAME=]realsense[:SERIAL]`` and the like are devices, the first one without a serial number. Each may have
+    ``?mode=NAME&size=WIDTHxHEIGHT&fps=NUMBER`` or part of that. A path is a recording with all its cameras, and
+    ``PATH#NAME`` is one of them. ``synthetic`` is the generator, and ``synthetic#NAME`` is one of its cameras.
 
     Args:
-        tell: takes a line before something that takes long.
+        tell: is called with a line of text before a step that takes long.
 
     Raises:
         InputError: when a spec is none of these, or two cameras have one name or are one device.
     """
-    pace = pace or Pace()
+    playback_clock = playback_clock or PlaybackClock()
     sources: list[DepthSource] = []
     devices: dict[tuple[str, str], str] = {}
-    for given in specs:
-        if "\0" in given:
-            raise InputError(f"{given} has a zero byte in it, which no path or address has")
-        spec = _Spec.parse(given)
+    for text in specs:
+        if "\0" in text:
+            raise InputError(f"{text} has a zero byte in it, which no path or address has")
+        spec = _Spec.parse(text)
         if spec is None:
-            sources += importlib.import_module(_PLAYED[RECORDED]).make_sources(given, Wanted(), pace)
+            sources += importlib.import_module(_PLAYED[RECORDED]).make_sources(text, ModeRequest(), playback_clock)
         elif spec.kind == SYNTHETIC:
             tell(
                 "making the synthetic scene: the first time on a machine takes a minute or two, because it is compiled"
             )
-            sources += importlib.import_module(_PLAYED[SYNTHETIC]).make_sources(spec.address, spec.wanted, pace)
+            sources += importlib.import_module(_PLAYED[SYNTHETIC]).make_sources(
+                spec.address, spec.request, playback_clock
+            )
         else:
-            for (kind, address), other in devices.items():
-                # One without a serial number is the first that is found, which may be any.
+            for (kind, address), earlier in devices.items():
+                # Without a serial number the first camera is used, which may be any.
                 if kind == spec.kind and (address == spec.address or "" in (address, spec.address)):
-                    raise InputError(f"{other} and {given} may be one device: give each its own serial number")
-            devices[spec.kind, spec.address] = given
+                    raise InputError(f"{earlier} and {text} may be one device: give each its own serial number")
+            devices[spec.kind, spec.address] = text
             module = importlib.import_module(BACK_ENDS[spec.kind])
-            name = spec.name or _called(spec.kind, spec.address)
-            sources.append(module.make(name, spec.address, spec.wanted))
+            name = spec.name or _default_name(spec.kind, spec.address)
+            sources.append(module.make_source(name, spec.address, spec.request))
     names = [source.name for source in sources]
     for name in names:
         if names.count(name) > 1:
@@ -114,8 +118,8 @@ def make_sources(
     return sources
 
 
-def _called(back_end: str, address: str) -> str:
-    """A camera's name where the user gives none."""
+def _default_name(back_end: str, address: str) -> str:
+    """A camera's name if the user gives none."""
     stem = Path(address).stem if Path(address).suffix.lower() in _FILES else address
     return safe_name(re.sub(r"[^\w.-]+", "-", f"{back_end}-{stem}" if stem else back_end))
 
@@ -125,44 +129,44 @@ class CamerasSettings:
     """List the depth cameras that are connected."""
 
 
-def find_cameras() -> tuple[list[FoundCamera], dict[str, str]]:
-    """The connected devices of all back ends, and why a back end could not look, by its name."""
-    found: list[FoundCamera] = []
-    unable: dict[str, str] = {}
+def find_cameras() -> tuple[list[ConnectedCamera], dict[str, str]]:
+    """The connected devices of all back ends, and the reason for each back end that could not list its devices."""
+    connected: list[ConnectedCamera] = []
+    failures: dict[str, str] = {}
     for back_end, module in BACK_ENDS.items():
         try:
-            found += within(OPEN_S, importlib.import_module(module).find)
-        except HangsError:
-            unable[back_end] = f"its SDK did not answer for {OPEN_S:.0f} s: unplug its cameras and plug them in again"
+            connected += call_with_timeout(OPEN_S, importlib.import_module(module).find_cameras)
+        except CallTimeoutError:
+            failures[back_end] = f"its SDK did not answer for {OPEN_S:.0f} s: unplug its cameras and plug them in again"
         except InputError as error:
-            unable[back_end] = str(error)
+            failures[back_end] = str(error)
         except Exception as error:  # whatever an SDK raises, the others are listed
-            unable[back_end] = f"its SDK failed: {error or type(error).__name__}"
-    return found, unable
+            failures[back_end] = f"its SDK failed: {error or type(error).__name__}"
+    return connected, failures
 
 
-def list_cameras(settings: CamerasSettings, console: Console | None = None) -> list[FoundCamera]:
-    """Print the connected cameras, and for each kind that could not be looked for what is missing."""
+def list_cameras(settings: CamerasSettings, console: Console | None = None) -> list[ConnectedCamera]:
+    """Print the connected cameras, and the reason for each kind of camera that could not be listed."""
     console = console or Terminal()
-    found, unable = find_cameras()
+    connected, failures = find_cameras()
     table = Table()
     for column in ("camera", "model", "serial", "problem"):
         table.add_column(column)
-    for camera in found:
+    for camera in connected:
         table.add_row(camera.spec, camera.model, camera.serial, camera.problem)
-    console.print(table if found else "no depth camera was found")
-    for back_end, reason in unable.items():
+    console.print(table if connected else "no depth camera was found")
+    for back_end, reason in failures.items():
         console.print(f"• {back_end}: {reason}")
-    return found
+    return connected
 
 
-def open_camera(spec: str, pace: Pace | None = None) -> DepthSource:
-    """The one source that a spec names (see ``make_sources``), for a with statement.
+def open_camera(spec: str, playback_clock: PlaybackClock | None = None) -> DepthSource:
+    """The source of one camera, for a with statement. ``make_sources`` describes the form of ``spec``.
 
     Raises:
-        InputError: when it names none, or several.
+        InputError: when ``spec`` names no camera, or several.
     """
-    sources = make_sources([spec], pace)
+    sources = make_sources([spec], playback_clock)
     if len(sources) != 1:
         names = ", ".join(source.name for source in sources)
         raise CameraError(f"{spec} has the cameras {names}: choose one as {spec}#{sources[0].name}")

@@ -3,10 +3,10 @@
     with open_camera("realsense:012345") as source:
         for frame in source:                        # every frame, in order
             ...
-        frame = source.read_latest(max_age_ms=100)  # or the newest, skipping what was missed
+        frame = source.read_latest(max_age_ms=100)  # or the newest, skipping older ones
 
 A back end subclasses ``DepthSource`` with three functions: open, read one frame, close. Recordings and the synthetic
-generator are sources like any other.
+generator are sources, too.
 """
 
 from __future__ import annotations
@@ -25,16 +25,18 @@ import numpy as np
 from jaxtyping import UInt16
 from numpy import ndarray
 
-from depthmocap.cameras.time_limit import HangsError, within
+from depthmocap.cameras.time_limit import CallTimeoutError, call_with_timeout
 from depthmocap.core.names import check_camera_name
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.text import cameras
 
-#: How long the reading thread waits for a frame before it looks whether it shall stop.
+#: Seconds that the reading thread waits for a frame before it checks whether it shall stop.
 _POLL_S = 0.5
-#: Calls that open and close a device are waited for so long; an SDK that hangs must not hang the program.
-OPEN_S, CLOSE_S = 10.0, 3.0
+#: Time limit (seconds) of the call that opens a device: an SDK that hangs must not hang the program.
+OPEN_S = 10.0
+#: Time limit (seconds) of the call that closes a device.
+CLOSE_S = 3.0
 
 _Result = TypeVar("_Result")
 
@@ -47,11 +49,11 @@ class _StuckError(CameraError):
     """A call of an SDK does not return."""
 
 
-class MisfitError(CameraError):
-    """A camera is not the one that was calibrated. It will not change by itself."""
+class CameraMismatchError(CameraError):
+    """A camera differs from the one that was calibrated. Trying again does not help."""
 
 
-class NoFrame(CameraError):  # noqa: N818 - nothing is wrong yet
+class FrameTimeoutError(CameraError):
     """No frame came in time; the camera may still deliver."""
 
 
@@ -63,9 +65,9 @@ class DepthFrame:
         camera: the camera's name.
         raw: depth in the device's own units (the camera's ``depth_unit_m``), 0 where invalid.
         timestamp_ns: when it was taken, by the clock named in ``clock``.
-        clock: equal names are one clock; a device's own clock has the device in its name.
-        arrival_ns: host time (``time.monotonic_ns``) at which it arrived, taken before anything else was done.
-        number: the device's count of frames, whose gaps are lost frames; None where it does not count.
+        clock: name of the clock; equal names mean the same clock. A device's own clock has the device in its name.
+        arrival_ns: host time (``time.monotonic_ns``) of its arrival, taken before anything else.
+        number: the device's frame counter, whose gaps are lost frames; None if the device does not count.
     """
 
     camera: str
@@ -77,8 +79,8 @@ class DepthFrame:
 
 
 @dataclasses.dataclass(frozen=True)
-class FoundCamera:
-    """A device that is connected. ``spec`` opens it; ``problem`` says why it would not open, if that is known."""
+class ConnectedCamera:
+    """A connected device. ``spec`` opens it; ``problem`` says why it cannot be opened, and is empty otherwise."""
 
     spec: str
     model: str
@@ -90,15 +92,15 @@ class DepthSource(abc.ABC):
     """One depth camera. Read it from one thread, either frame by frame or with ``read_latest``, not both.
 
     Attributes:
-        name: of the camera in the rig and in recordings.
-        up: the world's up axis. A device does not know where it stands: at the origin, upright, if no rig says better.
-        patience_s: a camera that gives nothing for longer than this is lost, because SDKs do not tell of a pulled plug.
-        reopens: one that was lost goes on when it is opened again; a file would begin anew.
-        problems: what a user should know and does not end the reading, one line each; who tells them takes them out.
+        name: the camera's name in the rig and in recordings.
+        up: the world's up axis. A device does not know its pose: without a rig it stands upright at the origin.
+        lost_after_s: a camera that is silent for longer counts as lost, because SDKs do not report a pulled plug.
+        reopens: a lost camera continues when it is opened again; False for files, which would start from the beginning.
+        problems: messages for the user that do not end the reading, one line each. The reader removes what it shows.
     """
 
     up: str = "-y"
-    patience_s: float = 5.0
+    lost_after_s: float = 5.0
     reopens: bool = True
 
     def __init__(self, name: str) -> None:
@@ -107,28 +109,31 @@ class DepthSource(abc.ABC):
         self.name = name
         self.problems: collections.deque[str] = collections.deque()
         self._camera: DepthCamera | None = None
-        self._pump: _Pump | None = None
-        self._stuck: threading.Thread | None = None
-        self._silent_s = 0.0
+        self._latest_thread: _LatestFrameThread | None = None
+        self._stuck_thread: threading.Thread | None = None
+        self._silence_s = 0.0
 
     @abc.abstractmethod
     def _open(self) -> DepthCamera:
-        """Start the device; gives its intrinsics and depth scale. Raises CameraError and leaves nothing open."""
+        """Start the device; returns intrinsics and depth scale. Raises CameraError, and then leaves nothing open."""
 
     @abc.abstractmethod
     def _read(self, timeout_s: float) -> DepthFrame | None:
-        """The next frame; None at the end. Raises NoFrame after ``timeout_s``, CameraError when it is lost."""
+        """The next frame; None at the end. Raises FrameTimeoutError after ``timeout_s``, and CameraError on a loss."""
 
     @abc.abstractmethod
     def _close(self) -> None:
         """Stop the device. Called once after a successful ``_open``."""
 
+    def _frame_timeout(self, timeout_s: float) -> FrameTimeoutError:
+        return FrameTimeoutError(f"camera {self.name!r} gave no frame for {timeout_s:.1f} s: is it still connected?")
+
     @property
     def camera(self) -> DepthCamera:
-        """Intrinsics and depth scale as the device tells them; only a rig knows where it stands.
+        """Intrinsics and depth scale that the device reports; the pose comes from a rig.
 
         Raises:
-            CameraError: before it is opened.
+            CameraError: when the source is not open.
         """
         if self._camera is None:
             raise CameraError(f"camera {self.name!r} is not open: use it in a with statement")
@@ -136,86 +141,86 @@ class DepthSource(abc.ABC):
 
     @property
     def raw_background(self) -> UInt16[ndarray, "h w"] | None:
-        """Raw depth of the empty scene; only recordings know it."""
+        """Raw depth of the empty scene; None except for recordings that have it."""
         return None
 
     def __enter__(self) -> DepthSource:
         if self._camera is not None:
             raise CameraError(f"camera {self.name!r} is open already: close it first")
-        if self._stuck is not None and self._stuck.is_alive():
+        if self._stuck_thread is not None and self._stuck_thread.is_alive():
             raise CameraError(f"camera {self.name!r} is stuck in a call of its SDK: unplug it and plug it in again")
-        self._camera = self._within(OPEN_S, self._open, self._close)
-        self._silent_s = 0.0
+        self._camera = self._call_sdk(OPEN_S, self._open, self._close)
+        self._silence_s = 0.0
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._pump is not None:
-            self._pump.stop()
-            self._pump = None
+        if self._latest_thread is not None:
+            self._latest_thread.stop()
+            self._latest_thread = None
         if self._camera is not None:
             self._camera = None
-            with contextlib.suppress(_StuckError):  # left behind: it is told when the camera is opened again
-                self._within(CLOSE_S, self._close)
+            with contextlib.suppress(_StuckError):  # opening the camera again reports it
+                self._call_sdk(CLOSE_S, self._close)
 
-    def _within(self, limit_s: float, call: Callable[[], _Result], undo: Callable[[], None] | None = None) -> _Result:
+    def _call_sdk(self, limit_s: float, call: Callable[[], _Result], undo: Callable[[], None] | None = None) -> _Result:
         try:
-            return within(limit_s, call, undo)
-        except HangsError as error:
-            self._stuck = error.thread
+            return call_with_timeout(limit_s, call, undo)
+        except CallTimeoutError as error:
+            self._stuck_thread = error.thread
             raise _StuckError(
                 f"camera {self.name!r} hangs in a call of its SDK ({limit_s:.0f} s): unplug it and plug it in again"
             ) from None
 
-    def _patiently(self, timeout_s: float) -> DepthFrame | None:
-        """What ``_read`` gives; a camera that was silent for longer than its patience is lost."""
-        begun_s = time.monotonic()
+    def _read_unless_lost(self, timeout_s: float) -> DepthFrame | None:
+        """Read a frame. Raises CameraError when the camera was silent for longer than ``lost_after_s``."""
+        start_s = time.monotonic()
         try:
             frame = self._read(timeout_s)
-        except NoFrame as error:
-            self._silent_s += time.monotonic() - begun_s  # only while somebody listened
-            if self._silent_s > self.patience_s:
+        except FrameTimeoutError as error:
+            self._silence_s += time.monotonic() - start_s  # counts only the time spent reading
+            if self._silence_s > self.lost_after_s:
                 raise CameraError(
-                    f"camera {self.name!r} gave no frame for {self._silent_s:.0f} s: was it unplugged?"
+                    f"camera {self.name!r} gave no frame for {self._silence_s:.0f} s: was it unplugged?"
                 ) from error
             raise
-        self._silent_s = 0.0
+        self._silence_s = 0.0
         return frame
 
     def read(self, timeout_s: float = 2.0) -> DepthFrame | None:
         """The next frame, or None at the end of a recording.
 
         Raises:
-            NoFrame: when none came in time.
+            FrameTimeoutError: when none came in time.
             CameraError: when the camera is not open, or was lost.
         """
         _ = self.camera
-        if self._pump is not None:
+        if self._latest_thread is not None:
             raise CameraError(f"camera {self.name!r} is read by read_latest: do not iterate over it as well")
-        return self._patiently(timeout_s)
+        return self._read_unless_lost(timeout_s)
 
     def __iter__(self) -> Iterator[DepthFrame]:
         while (frame := self.read()) is not None:
             yield frame
 
     def read_latest(self, max_age_ms: float = 100.0) -> DepthFrame:
-        """The newest frame that arrived, at once; where there is none so young, the next if it comes within that time.
+        """The newest frame, if it is at most this old; otherwise the next frame, if it comes within this time.
 
-        A thread empties the device from the first call on, so that no old frame queues up anywhere.
+        From the first call on, a thread reads all frames, so that no old frame waits in a queue.
 
         Raises:
-            NoFrame: when there is no frame so young; the message tells the age of the last.
+            FrameTimeoutError: when no frame is young enough; the message tells the age of the last one.
             CameraError: when the camera is not open, was lost, or its recording is at its end.
         """
         _ = self.camera
-        if self._pump is None:
-            self._pump = _Pump(self)
-        return self._pump.latest(max_age_ms)
+        if self._latest_thread is None:
+            self._latest_thread = _LatestFrameThread(self)
+        return self._latest_thread.latest(max_age_ms)
 
 
-class _Pump:
-    """The thread that keeps a source's newest frame."""
+class _LatestFrameThread:
+    """A thread that reads a source and keeps its newest frame."""
 
     def __init__(self, source: DepthSource) -> None:
         self._source = source
@@ -230,13 +235,13 @@ class _Pump:
     def _run(self) -> None:
         while not self._stopping:
             try:
-                frame = self._source._patiently(_POLL_S)
-            except NoFrame:
+                frame = self._source._read_unless_lost(_POLL_S)
+            except FrameTimeoutError:
                 continue
             except CameraError as error:
                 self._end(error)
                 return
-            except Exception as error:  # whatever an SDK raises is told where the frames are asked for
+            except Exception as error:  # SDKs raise anything; ``latest`` raises it again
                 self._end(CameraError(f"camera {self._source.name!r} was lost: {error}"))
                 return
             if frame is None:
@@ -262,15 +267,15 @@ class _Pump:
             if self._failure is not None:
                 raise self._failure
             last = "no frame yet" if self._newest is None else f"the last frame is {age_ms():.0f} ms old"
-            raise NoFrame(f"camera {self._source.name!r} gave nothing for {max_age_ms:.0f} ms: {last}")
+            raise FrameTimeoutError(f"camera {self._source.name!r} gave nothing for {max_age_ms:.0f} ms: {last}")
 
     def stop(self) -> None:
         self._stopping = True
         self._thread.join(2 * _POLL_S)
 
 
-def unsourced(rig: Rig, names: Collection[str]) -> list[str]:
-    """A line about the cameras of the rig that are not among the sources of these names, if there are any."""
+def missing_source_problems(rig: Rig, names: Collection[str]) -> list[str]:
+    """A line about the cameras of the rig for which no source of their name was given; empty if there are none."""
     missing = [name for name in rig.names if name not in names]
     if len(missing) > 1:
         return [f"the rig has {cameras(missing)}, but no sources of those names were given; going on without them"]
@@ -279,17 +284,17 @@ def unsourced(rig: Rig, names: Collection[str]) -> list[str]:
     ]
 
 
-def place(camera: DepthCamera, rig: Rig) -> DepthCamera:
-    """The rig's camera of the same name, which a device delivers for; the device's own depth scale is kept.
+def place_in_rig(camera: DepthCamera, rig: Rig) -> DepthCamera:
+    """The rig's camera of the same name, with the depth scale that the device reports.
 
     Raises:
-        MisfitError: when the rig does not have it, or calibrated it at another resolution.
+        CameraMismatchError: when the rig lacks the camera, or has it at another resolution.
     """
     if camera.name not in rig.names:
-        raise MisfitError(f"the rig has no camera {camera.name!r}: it has {', '.join(rig.names)}")
+        raise CameraMismatchError(f"the rig has no camera {camera.name!r}: it has {', '.join(rig.names)}")
     placed = rig[camera.name]
     if (placed.width, placed.height) != (camera.width, camera.height):
-        raise MisfitError(
+        raise CameraMismatchError(
             f"camera {camera.name!r} delivers {camera.width}×{camera.height} but was calibrated at "
             f"{placed.width}×{placed.height}: calibrate it again, or ask the device for "
             f"?size={placed.width}x{placed.height}"

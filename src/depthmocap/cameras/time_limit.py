@@ -1,4 +1,4 @@
-"""Calls of SDKs that may never return."""
+"""A time limit for SDK calls that may never return."""
 
 from __future__ import annotations
 
@@ -9,33 +9,33 @@ from typing import TypeVar
 _Result = TypeVar("_Result")
 
 
-class HangsError(Exception):
-    """A call did not return in time; ``thread`` is the one it is left behind in."""
+class CallTimeoutError(Exception):
+    """A call did not return in time; it still runs in ``thread``."""
 
     def __init__(self, thread: threading.Thread) -> None:
         super().__init__("a call did not return")
         self.thread = thread
 
 
-def within(limit_s: float, call: Callable[[], _Result], undo: Callable[[], None] | None = None) -> _Result:
-    """What ``call`` returns or raises. After ``limit_s`` it is left behind, and undone should it return later.
+def call_with_timeout(limit_s: float, call: Callable[[], _Result], undo: Callable[[], None] | None = None) -> _Result:
+    """Return or raise what ``call`` returns or raises. If it returns only after ``limit_s``, ``undo`` is called then.
 
     Raises:
-        HangsError: when it did not return in time.
+        CallTimeoutError: when it did not return in time.
     """
     outcome: list[tuple[_Result, None] | tuple[None, BaseException]] = []
-    left, lock = False, threading.Lock()
+    timed_out, lock = False, threading.Lock()
 
     def run() -> None:
         try:
-            made = call(), None
+            result = call(), None
         except BaseException as raised:  # raised again where it was called
-            made = None, raised
+            result = None, raised
         with lock:
-            outcome.append(made)
-            if not left:
+            outcome.append(result)
+            if not timed_out:
                 return
-        if made[1] is None and undo is not None:
+        if result[1] is None and undo is not None:
             undo()
 
     # A daemon, because a call that never returns must not keep the process alive.
@@ -45,9 +45,9 @@ def within(limit_s: float, call: Callable[[], _Result], undo: Callable[[], None]
         thread.join(limit_s)
     finally:  # Ctrl-C as well
         with lock:
-            left = not outcome
-    if left:
-        raise HangsError(thread)
+            timed_out = not outcome
+    if timed_out:
+        raise CallTimeoutError(thread)
     result, error = outcome[0]
     if error is not None:
         raise error

@@ -1,4 +1,4 @@
-"""What Linux says of a camera that its SDK cannot open: the speed of its USB, and whether this user may use it."""
+"""USB devices on Linux: connection speed and access rights, which explain why an SDK cannot open a camera."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 
 _ROOT = Path("/sys/bus/usb/devices")
 _NODES = Path("/dev/bus/usb")
-#: USB 3 begins here (Mbit/s).
+#: Lowest speed of USB 3 (Mbit/s).
 _USB3_MBPS = 5000
 
 
 @dataclasses.dataclass(frozen=True)
 class UsbDevice:
-    """A device as sysfs tells it. ``speed_mbps`` is that of the connection; ``node`` is what an SDK has to open."""
+    """A device as sysfs describes it. ``speed_mbps`` is the speed of its connection; an SDK opens the file ``node``."""
 
     vendor: int
     product: int
@@ -24,7 +24,7 @@ class UsbDevice:
     node: Path
 
     def problem(self, usb3: bool) -> str:
-        """Why no SDK can use it; empty where nothing is wrong. ``usb3``: the camera needs USB 3."""
+        """The reason why no SDK can use the device; empty if there is none. ``usb3``: the camera needs USB 3."""
         if not os.access(self.node, os.R_OK | os.W_OK):
             return f"this user may not open {self.node}: install the udev rules of its SDK, and plug it in again"
         if usb3 and self.speed_mbps < _USB3_MBPS:
@@ -33,7 +33,7 @@ class UsbDevice:
 
 
 def usb_devices(root: Path = _ROOT, nodes: Path = _NODES) -> list[UsbDevice]:
-    """The USB devices of this computer; none where the system has no sysfs."""
+    """The USB devices of this computer; empty on systems without sysfs."""
 
     def read(folder: Path, name: str) -> str:
         try:
@@ -41,7 +41,7 @@ def usb_devices(root: Path = _ROOT, nodes: Path = _NODES) -> list[UsbDevice]:
         except OSError:
             return ""
 
-    found = []
+    devices = []
     for folder in sorted(root.glob("*")):
         try:
             vendor, product = int(read(folder, "idVendor"), 16), int(read(folder, "idProduct"), 16)
@@ -50,5 +50,5 @@ def usb_devices(root: Path = _ROOT, nodes: Path = _NODES) -> list[UsbDevice]:
         except ValueError:  # an interface of a device, or one that was just unplugged
             continue
         node = nodes / f"{bus:03d}" / f"{number:03d}"
-        found.append(UsbDevice(vendor, product, read(folder, "product"), read(folder, "serial"), speed, node))
-    return found
+        devices.append(UsbDevice(vendor, product, read(folder, "product"), read(folder, "serial"), speed, node))
+    return devices

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 from jaxtyping import Float, UInt16
 from numpy import ndarray
 
-from depthmocap.cameras.pace import Pace
+from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.cameras.registry import make_sources
 from depthmocap.cameras.source import DepthSource
 from depthmocap.errors import InputError
@@ -326,10 +326,10 @@ def _captured(
     changes: dict[str, Any],
 ) -> Iterator[LivePose]:
     """What comes of the sources by the pipeline of these settings."""
-    pace = Pace(1.0)
+    playback_clock = PlaybackClock(1.0)
     opened: list[DepthSource] = []
     for source in sources:
-        opened += [source] if isinstance(source, DepthSource) else make_sources([str(source)], pace)
+        opened += [source] if isinstance(source, DepthSource) else make_sources([str(source)], playback_clock)
     rig = load_rig(rig) if isinstance(rig, Path) else rig
     make_pipeline = functools.partial(load_pipeline, settings=settings, **changes)
     with LiveCapture(opened, rig, make_pipeline=make_pipeline) as capture:

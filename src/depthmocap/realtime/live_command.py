@@ -12,7 +12,7 @@ import tyro
 from rich.console import Console
 from rich.live import Live
 
-from depthmocap.cameras.pace import Pace
+from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.cameras.registry import make_sources
 from depthmocap.core.console import Terminal
 from depthmocap.core.interrupts import finishing
@@ -134,7 +134,7 @@ def _capture(settings: LiveSettings, console: Console) -> LiveCapture | Replay:
     def tell(line: str) -> None:
         console.print(f"• {line}")
 
-    sources = make_sources(settings.sources, Pace(1.0), tell)
+    sources = make_sources(settings.sources, PlaybackClock(1.0), tell)
     return LiveCapture(sources, rig, None, sync, settings.rate_hz is None, make_pipeline, tell)
 
 

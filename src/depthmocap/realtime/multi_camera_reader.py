@@ -13,7 +13,14 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType, TracebackType
 from typing import Any, Protocol, runtime_checkable
 
-from depthmocap.cameras.source import DepthFrame, DepthSource, MisfitError, NoFrame, place, unsourced
+from depthmocap.cameras.source import (
+    CameraMismatchError,
+    DepthFrame,
+    DepthSource,
+    FrameTimeoutError,
+    missing_source_problems,
+    place_in_rig,
+)
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.text import joined
@@ -89,7 +96,7 @@ class Readers:
             self._go.set()
         for source in sources:
             self.add(source)
-        for problem in unsourced(rig, self._readers) if rig else ():
+        for problem in missing_source_problems(rig, self._readers) if rig else ():
             listener.note(problem)
 
     @property
@@ -251,7 +258,7 @@ class _Reader:
             wait_s = RETRY_S
             try:
                 self._read_on()
-            except MisfitError as error:
+            except CameraMismatchError as error:
                 self._failed(error, misfit=True)
                 misfit_s = wait_s = min(2 * misfit_s, RETRY_MISFIT_S)
             except Exception as error:  # whatever an SDK raises is this camera's trouble alone
@@ -267,7 +274,7 @@ class _Reader:
         if said != self._state:
             name = repr(self.source.name)
             what = "was lost" if self._delivering else "cannot be opened"
-            named = isinstance(error, MisfitError) or name in said
+            named = isinstance(error, CameraMismatchError) or name in said
             self._listener.note(said if named else f"camera {name} {what}: {said}")
         self._over = not self.source.reopens
         self._say(said, tried=True, over=self._over, failures=self._failures, **changes)
@@ -282,7 +289,7 @@ class _Reader:
         self._delivering = False
         with self.source as source:
             rig = self._readers.rig
-            camera = place(source.camera, rig) if rig else source.camera
+            camera = place_in_rig(source.camera, rig) if rig else source.camera
             self._delivering = True
             self._say(RUNNING, camera=camera, tried=True, misfit=False)
             if self._stop.is_set():
@@ -294,7 +301,7 @@ class _Reader:
                     self._listener.note(source.problems.popleft())
                 try:
                     frame = source.read(LOOK_S)
-                except NoFrame:
+                except FrameTimeoutError:
                     self._say(SILENT)
                     continue
                 if frame is None:

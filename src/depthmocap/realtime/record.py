@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from depthmocap.cameras.pace import Pace
+from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.cameras.registry import make_sources
 from depthmocap.cameras.source import DepthFrame
 from depthmocap.core.console import Terminal
@@ -123,7 +123,7 @@ def record(settings: RecordSettings, console: Console | None = None) -> dict[str
         raise InputError(f"--seconds must be positive, got {settings.seconds}")
     check_name("--out", settings.out)
     rig = load_rig(settings.rig) if settings.rig else None
-    sources = make_sources(settings.sources, Pace(1.0 if settings.realtime else 0.0), tell)
+    sources = make_sources(settings.sources, PlaybackClock(1.0 if settings.realtime else 0.0), tell)
     writing = _Writing([source.name for source in sources])
     readers = Readers(sources, rig, writing, held=True)
     with contextlib.ExitStack() as stack:

@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from depthmocap.cameras.pace import Pace
+from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.core.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.recordings.convert import timeline
@@ -41,12 +41,14 @@ class ReplaySettings:
     loop: bool = False
 
 
-def play(recording: Recording, topics: Topics, pace: Pace, advance: Callable[[], None] = lambda: None) -> int:
+def play(
+    recording: Recording, topics: Topics, playback_clock: PlaybackClock, advance: Callable[[], None] = lambda: None
+) -> int:
     """Publish every frame when it is due, the true joints among them; returns how many frames could be read."""
     frames, described_ns = 0, None
     truth = recording.truth_rows()
     for stamp, name in timeline(recording):
-        while not pace.wait(stamp, 1.0):
+        while not playback_clock.wait(stamp, 1.0):
             pass
         if described_ns is None or stamp - described_ns >= _DESCRIBE_NS:
             topics.describe(stamp)
@@ -87,7 +89,7 @@ def replay(settings: ReplaySettings, console: Console | None = None) -> int:
         with Progress(console=console) as progress:
             task = progress.add_task("playing", total=len(timeline(recording)))
             while True:
-                frames = play(recording, topics, Pace(settings.speed), lambda: progress.advance(task))
+                frames = play(recording, topics, PlaybackClock(settings.speed), lambda: progress.advance(task))
                 progress.reset(task)
                 if not settings.loop:
                     return frames

@@ -22,7 +22,7 @@ from jaxtyping import Float, Int, UInt16
 from numpy import ndarray
 
 from depthmocap.cameras.health import Fault, HealthCheck
-from depthmocap.cameras.source import place
+from depthmocap.cameras.source import place_in_rig
 from depthmocap.core.interrupts import finishing
 from depthmocap.core.locks import LOCK_FILE, own_folder
 from depthmocap.core.output import LineFile, write_file, writing
@@ -188,7 +188,7 @@ class Recording(FrameSource):
             if len(missing) == len(self.rig.cameras):
                 raise InputError(f"{self.path} has none of the rig's cameras ({', '.join(rig.names)}), but {missing}")
             self._note(f"{self.path}: cameras that the rig lacks are left out: {', '.join(missing)}")
-        kept = (place(camera, rig) for camera in self.rig.cameras if camera.name in rig.names)
+        kept = (place_in_rig(camera, rig) for camera in self.rig.cameras if camera.name in rig.names)
         self.rig = Rig(tuple(kept), rig.up)
         self._stamps = {name: self._stamps[name] for name in self.rig.names}
 

@@ -8,17 +8,17 @@ from pathlib import Path
 from jaxtyping import UInt16
 from numpy import ndarray
 
-from depthmocap.cameras.modes import Wanted
-from depthmocap.cameras.pace import Pace
+from depthmocap.cameras.modes import ModeRequest
+from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.cameras.registry import BACK_ENDS
-from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, NoFrame
+from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, FrameTimeoutError
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera
 from depthmocap.recordings.folder import Recording
 from depthmocap.recordings.open_recording import open_recording
 
 
-def make_sources(spec: str, wanted: Wanted, pace: Pace) -> list[DepthSource]:
+def make_sources(spec: str, request: ModeRequest, playback_clock: PlaybackClock) -> list[DepthSource]:
     """All cameras of a recording that have frames, or one: ``PATH`` or ``PATH#NAME``.
 
     Args:
@@ -39,7 +39,7 @@ def make_sources(spec: str, wanted: Wanted, pace: Pace) -> list[DepthSource]:
     recording = open_recording(path)
     with_frames = [name for name in recording.rig.names if recording.stamps(name)]
     names = with_frames if path == Path(spec) else [spec.rpartition("#")[2]]
-    sources: list[DepthSource] = [RecordedCamera(recording, name, pace) for name in names]
+    sources: list[DepthSource] = [RecordedCamera(recording, name, playback_clock) for name in names]
     sources[0].problems.extend(recording.problems)  # the file's, told once
     return sources
 
@@ -47,16 +47,16 @@ def make_sources(spec: str, wanted: Wanted, pace: Pace) -> list[DepthSource]:
 class RecordedCamera(DepthSource):
     """One camera of a recording. A frame that cannot be read is left out, as if it had been lost."""
 
-    patience_s = float("inf")  # a gap was recorded as it was
+    lost_after_s = float("inf")  # a gap was recorded as it was
     reopens = False
 
-    def __init__(self, recording: Recording, name: str, pace: Pace | None = None) -> None:
+    def __init__(self, recording: Recording, name: str, playback_clock: PlaybackClock | None = None) -> None:
         """Raises CameraError when the recording has no such camera, or no frame of it."""
         super().__init__(name)
         if name not in recording.rig.names:
             raise CameraError(f"{recording.path} has no camera {name!r}: it has {', '.join(recording.rig.names)}")
         self.up = recording.up
-        self._recording, self._pace = recording, pace or Pace()
+        self._recording, self._playback_clock = recording, playback_clock or PlaybackClock()
         self._stamps = recording.stamps(name)
         if not self._stamps:
             raise CameraError(f"{recording.path} has no frames of camera {name!r}")
@@ -73,8 +73,8 @@ class RecordedCamera(DepthSource):
     def _read(self, timeout_s: float) -> DepthFrame | None:
         while self._next < len(self._stamps):
             stamp = self._stamps[self._next]
-            if not self._pace.wait(stamp, timeout_s):
-                raise NoFrame(f"camera {self.name!r}: the next frame is not due yet")
+            if not self._playback_clock.wait(stamp, timeout_s):
+                raise FrameTimeoutError(f"camera {self.name!r}: the next frame is not due yet")
             number, self._next = self._next, self._next + 1
             try:
                 raw = self._recording.raw(self.name, stamp)

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import UInt16
 from numpy import ndarray
 
-from depthmocap.cameras.modes import Mode, Wanted
-from depthmocap.cameras.pace import Pace
-from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, NoFrame
+from depthmocap.cameras.modes import Mode, ModeRequest
+from depthmocap.cameras.playback_clock import PlaybackClock
+from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, FrameTimeoutError
 from depthmocap.frames import FrameSet
 from depthmocap.geometry import DepthCamera, Rig
 
@@ -64,7 +64,7 @@ class SyntheticScene:
             return self._ahead[name].popleft() if self._ahead[name] else None
 
 
-def make_sources(name: str, wanted: Wanted, pace: Pace) -> list[DepthSource]:
+def make_sources(name: str, request: ModeRequest, playback_clock: PlaybackClock) -> list[DepthSource]:
     """The camera of this name of a new scene, or all its cameras.
 
     Raises:
@@ -79,9 +79,9 @@ def make_sources(name: str, wanted: Wanted, pace: Pace) -> list[DepthSource]:
     rate = 0
     for camera in (rig[each] for each in names):
         modes = [Mode(camera.width, camera.height, fps) for fps in RATES]
-        rate = modes[wanted.choose(camera.name, modes, usual_fps=round(FPS))].fps
+        rate = modes[request.choose(camera.name, modes, default_fps=round(FPS))].fps
     scene = SyntheticScene(fps=rate)
-    return [SyntheticCamera(scene, each, pace) for each in names]
+    return [SyntheticCamera(scene, each, playback_clock) for each in names]
 
 
 def _no_camera(name: str, rig: Rig) -> CameraError:
@@ -91,16 +91,16 @@ def _no_camera(name: str, rig: Rig) -> CameraError:
 class SyntheticCamera(DepthSource):
     """One camera of a synthetic scene."""
 
-    patience_s = float("inf")
+    lost_after_s = float("inf")
     reopens = False
 
-    def __init__(self, scene: SyntheticScene, name: str, pace: Pace | None = None) -> None:
+    def __init__(self, scene: SyntheticScene, name: str, playback_clock: PlaybackClock | None = None) -> None:
         """Raises CameraError when the scene has no such camera."""
         super().__init__(name)
         if name not in scene.rig.names:
             raise _no_camera(name, scene.rig)
         self.up = scene.rig.up
-        self._scene, self._pace, self._number = scene, pace or Pace(), 0
+        self._scene, self._playback_clock, self._number = scene, playback_clock or PlaybackClock(), 0
         self._due: tuple[int, UInt16[ndarray, "_ _"]] | None = None
 
     def _open(self) -> DepthCamera:
@@ -111,8 +111,8 @@ class SyntheticCamera(DepthSource):
         if self._due is None:
             return None
         timestamp_ns, raw = self._due
-        if not self._pace.wait(timestamp_ns, timeout_s):
-            raise NoFrame(f"camera {self.name!r}: the next frame is not due yet")
+        if not self._playback_clock.wait(timestamp_ns, timeout_s):
+            raise FrameTimeoutError(f"camera {self.name!r}: the next frame is not due yet")
         self._due, number, self._number = None, self._number, self._number + 1
         return DepthFrame(self.name, raw, timestamp_ns, "recording", time.monotonic_ns(), number)
 

@@ -1,4 +1,4 @@
-"""When frames that are played are due."""
+"""The playback time of recorded and synthetic frames."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import time
 from depthmocap.errors import InputError
 
 
-class Pace:
-    """When frames are due: ``speed`` times as fast as they were taken, or at once if that is 0.
+class PlaybackClock:
+    """Tells when frames are due: ``speed`` times as fast as they were taken, or at once if ``speed`` is 0.
 
-    Cameras that shall play in step share one.
+    Cameras that play in step share one clock.
     """
 
     def __init__(self, speed: float = 0.0) -> None:
@@ -22,7 +22,7 @@ class Pace:
         self._lock = threading.Lock()
 
     def wait(self, timestamp_ns: int, timeout_s: float) -> bool:
-        """Wait until a frame is due; False when ``timeout_s`` was over before. The first frame ever is due at once."""
+        """Wait until a frame is due; False if ``timeout_s`` passes first. The first frame is due at once."""
         if self._speed == 0:
             return True
         with self._lock:
