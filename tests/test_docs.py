@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import depthmocap
-from depthmocap.cli import _COMMANDS
+from depthmocap.commands import COMMANDS as _COMMANDS
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

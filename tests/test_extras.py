@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import depthmocap
-from depthmocap.cli import _COMMANDS
+from depthmocap.commands import COMMANDS as _COMMANDS
 from depthmocap.errors import missing_extra
 
 SOURCE = Path(depthmocap.__file__).parent

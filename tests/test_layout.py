@@ -24,7 +24,7 @@ GROUPS = (
     "synth",
     "train",
     "evaluate",
-    "cli",
+    "commands completion cli",
 )
 FLOOR = {package: floor for floor, group in enumerate(GROUPS) for package in group.split()}
 

@@ -39,7 +39,7 @@ def commands_page() -> str:
     Raises:
         PluginError: when a command cannot be loaded, for want of an extra.
     """
-    from depthmocap import cli
+    from depthmocap.commands import COMMANDS
 
     lines = [
         "# Commands",
@@ -49,10 +49,10 @@ def commands_page() -> str:
         "| Command | | Extra |",
         "|---|---|---|",
     ]
-    for command in cli._COMMANDS:
+    for command in COMMANDS:
         anchor = f"depthmocap-{command.words.replace(' ', '-')}"
         lines.append(f"| [`depthmocap {command.words}`](#{anchor}) | {command.help} | {command.extra or '–'} |")
-    for command in cli._COMMANDS:
+    for command in COMMANDS:
         needs = f" Needs `pip install 'depthmocap[{command.extra}]'`." if command.extra else ""
         summary = command.help[0].upper() + command.help[1:]
         lines += ["", f"## depthmocap {command.words}", "", f"{summary}.{needs}", "", "```text", help_of(command.words)]
@@ -62,9 +62,9 @@ def commands_page() -> str:
 
 def command_words() -> set[str]:
     """The words of every command."""
-    from depthmocap import cli
+    from depthmocap.commands import COMMANDS
 
-    return {command.words for command in cli._COMMANDS}
+    return {command.words for command in COMMANDS}
 
 
 @functools.cache
@@ -74,14 +74,14 @@ def help_of(words: str) -> str:
     Raises:
         PluginError: when the command cannot be loaded, for want of an extra.
     """
-    from depthmocap import cli
+    from depthmocap.cli import main
 
     out, errors = io.StringIO(), io.StringIO()
     before = {name: os.environ.get(name) for name in ("COLUMNS", "NO_COLOR")}
     os.environ.update(COLUMNS=str(_WIDTH), NO_COLOR="1")
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors), contextlib.suppress(SystemExit):
-            cli.main([*words.split(), "--help"])
+            main([*words.split(), "--help"])
     finally:
         for name, value in before.items():
             os.environ.pop(name) if value is None else os.environ.update({name: value})
