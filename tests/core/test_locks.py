@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from depthmocap.cli import _COMMANDS
+from depthmocap.commands import COMMANDS
 from depthmocap.core.locks import own_file, own_folder, owns
 from depthmocap.core.output import remove_unfinished, replacing, write_file
 from depthmocap.errors import InputError
@@ -97,7 +97,7 @@ def test_every_command_owns_what_it_writes() -> None:
     pytest.importorskip("anny")
     # New files alone; a recording folder, which its writer owns; a folder for each split.
     otherwise = {"record", "recover", "convert", "synth"}
-    for command in _COMMANDS:
+    for command in COMMANDS:
         module = importlib.import_module(command.module)
         names = {field.name for field in dataclasses.fields(getattr(module, command.settings))}
         if names & {"out", "json", "report", "csv"} and command.words not in otherwise | {"demo"}:  # demo runs run
