@@ -34,25 +34,25 @@ def python_page(package: ModuleType) -> str:
 
 
 def commands_page() -> str:
-    """Every command of the table in ``depthmocap.cli`` with what it says of itself.
+    """Every command with what it says of itself, by groups.
 
     Raises:
         PluginError: when a command cannot be loaded, for want of an extra.
     """
-    from depthmocap.commands import COMMANDS
+    from depthmocap.commands import GROUPS
 
     lines = [
         "# Commands",
         "",
-        "Each as its own `--help` tells it. An option that is not given has the value in brackets.",
-        "",
-        "| Command | | Extra |",
-        "|---|---|---|",
+        "Each as its own `--help` tells it. An option that is not given has the value in brackets. A shell completes commands "
+        "and options after `source <(depthmocap --print-completion bash)`, or `zsh`.",
     ]
-    for command in COMMANDS:
-        anchor = f"depthmocap-{command.words.replace(' ', '-')}"
-        lines.append(f"| [`depthmocap {command.words}`](#{anchor}) | {command.help} | {command.extra or '–'} |")
-    for command in COMMANDS:
+    for group, commands in GROUPS.items():
+        lines += ["", f"**{group}**", "", "| Command | | Extra |", "|---|---|---|"]
+        for command in commands:
+            anchor = f"depthmocap-{command.words.replace(' ', '-')}"
+            lines.append(f"| [`depthmocap {command.words}`](#{anchor}) | {command.help} | {command.extra or '–'} |")
+    for command in (command for commands in GROUPS.values() for command in commands):
         needs = f" Needs `pip install 'depthmocap[{command.extra}]'`." if command.extra else ""
         summary = command.help[0].upper() + command.help[1:]
         lines += ["", f"## depthmocap {command.words}", "", f"{summary}.{needs}", "", "```text", help_of(command.words)]
