@@ -44,8 +44,8 @@ def commands_page() -> str:
     lines = [
         "# Commands",
         "",
-        "Each as its own `--help` tells it. An option that is not given has the value in brackets. A shell completes commands "
-        "and options after `source <(depthmocap --print-completion bash)`, or `zsh`.",
+        "Each as its own `--help` tells it. An option that is not given has the value in brackets. A shell "
+        "completes commands and options after `source <(depthmocap --print-completion bash)`, or `zsh`.",
     ]
     for group, commands in GROUPS.items():
         lines += ["", f"**{group}**", "", "| Command | | Extra |", "|---|---|---|"]
