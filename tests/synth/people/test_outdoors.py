@@ -16,8 +16,8 @@ from depthmocap.synth.motion.limits import within_limits
 from depthmocap.synth.motion.pocketed_hands import PocketKind, arms_off_trunk, hands_in_pockets
 from depthmocap.synth.people.bodies import random_dressed
 from depthmocap.synth.people.garments import DressedBody, clothe
-from depthmocap.synth.people.outdoors import HOOD_UP_SHARE, JACKET_SHARE, for_outdoors
-from depthmocap.synth.people.pockets import pocket_kinds, posed_in_clothes
+from depthmocap.synth.people.outdoors import HAT_SHARE, HOOD_UP_SHARE, JACKET_SHARE, SCARF_SHARE, for_outdoors
+from depthmocap.synth.people.pockets import pockets_of, posed_in_clothes
 from depthmocap.synth.people.wardrobe import (
     FAMILIES,
     HELD_OUT_FAMILY,
@@ -26,6 +26,9 @@ from depthmocap.synth.people.wardrobe import (
     Clothes,
     Garment,
     Hair,
+    Hat,
+    HatStyle,
+    Scarf,
     random_clothes,
     random_garment,
 )
@@ -71,6 +74,9 @@ def test_what_is_worn_outdoors_is_drawn_as_often_as_said() -> None:
     assert np.mean([bool(families & set(OUTDOOR_FAMILIES)) for families in worn]) == pytest.approx(
         JACKET_SHARE, abs=0.05
     )
+    assert np.mean([clothes.hat.style != "none" for clothes in drawn]) == pytest.approx(HAT_SHARE, abs=0.04)
+    assert np.mean([clothes.scarf is not None for clothes in drawn]) == pytest.approx(SCARF_SHARE, abs=0.03)
+    drawn = [clothes for clothes in drawn if clothes.garments[-1].family != "gown"]
     hoods = [clothes.garments[-1].hood for clothes in drawn]
     assert np.mean([hood == "up" for hood in hoods if hood != "none"]) == pytest.approx(HOOD_UP_SHARE, abs=0.1)
     assert all(clothes.hair.length_m == 0 or clothes.hair.style != "long" or hood != "up"
@@ -133,6 +139,61 @@ def test_hoods_lie_behind_the_neck_or_go_round_the_head(default_body: Body) -> N
     assert 0.005 < np.median(off) < 0.09
 
 
+def test_gowns_are_neither_as_short_nor_as_thick_as_coats() -> None:
+    gown, coat = FAMILIES["gown"], FAMILIES[HELD_OUT_FAMILY]
+    assert gown["skirt_m"][0] > coat["skirt_m"][1]
+    assert gown["thickness_m"][1] < coat["thickness_m"][0]
+
+
+@pytest.mark.parametrize("style", ["beanie", "cap", "brim", "helmet"])
+def test_hats_cover_the_skull_but_not_the_face(default_body: Body, style: HatStyle) -> None:
+    rng, hair = np.random.default_rng(2), Hair("short", 0.015)
+    worn = Hat(style, 0.03 if style == "helmet" else 0.01, 0.08 if style in ("cap", "brim") else 0.0)
+    bare = see(clothe(default_body, Clothes((), hair), rng).pose(REST_POSTURE), np.pi)
+    person = clothe(default_body, Clothes((), hair, hat=worn), rng).pose(REST_POSTURE)
+    front, back = see(person), see(person, np.pi)
+    assert (back.material == Material.HAIR).sum() < 0.6 * (bare.material == Material.HAIR).sum()
+    assert (front.material == Material.CLOTH).sum() > 40
+    assert bare_share(front, "face") > 0.6
+    # The label is the head's.
+    assert np.isin(
+        KINDS[back.labels[back.material == Material.CLOTH]], ("hair", "forehead", "background", "face")
+    ).all()
+
+
+def test_a_scarf_goes_round_the_neck_and_hangs_down(default_body: Body) -> None:
+    def worn(*ends: float) -> Rendering:
+        clothes = Clothes((), scarf=Scarf(0.035, (ends[0], ends[1])))
+        return see(clothe(default_body, clothes, np.random.default_rng(0)).pose(REST_POSTURE))
+
+    roll, left = worn(0.0, 0.0), worn(0.0, 0.5)
+    assert bare_share(roll, "neck front") < 0.4
+    added = (left.material == Material.CLOTH) & (roll.material != Material.CLOTH)
+    assert added.sum() > 80
+    assert set(KINDS[left.labels[added]]) >= {"chest", "belly"}
+    assert np.nonzero(added)[1].mean() > 79  # on the subject's left
+
+
+def test_a_shawl_covers_one_shoulder(default_body: Body) -> None:
+    shawl = dataclasses.replace(random_garment(np.random.default_rng(0), "shawl"), one_shoulder=1.0)
+    view = see(clothe(default_body, Clothes((shawl,)), np.random.default_rng(0)).pose(REST_POSTURE))
+    shares = {}
+    for side in "RL":
+        chosen = np.array([name in (f"shoulder front {side}", f"collar {side}") for name in REGION_NAMES])[view.labels]
+        shares[side] = (view.material[chosen] == Material.SKIN).mean()
+    assert shares["L"] < 0.3 < 0.7 < shares["R"]
+
+
+def test_hair_may_lie_before_the_shoulders(default_body: Body) -> None:
+    counts = []
+    for forward in (0.0, 1.0):
+        clothes = Clothes((), Hair("long", 0.015, 0.45, 0.2, forward))
+        view = see(clothe(default_body, clothes, np.random.default_rng(0)).pose(REST_POSTURE))
+        on_chest = np.isin(KINDS[view.labels], ("chest", "collar", "shoulder front"))
+        counts.append(int((on_chest & (view.material == Material.HAIR)).sum()))
+    assert counts[1] > counts[0] + 15
+
+
 @pytest.mark.parametrize("kind", ["jacket", "front", "trousers", "seat"])
 def test_hands_go_into_pockets(default_body: Body, kind: PocketKind) -> None:
     rng, sides = np.random.default_rng(1), []
@@ -158,7 +219,7 @@ def test_hands_in_pockets_are_under_cloth(default_body: Body) -> None:
     covered, seen = [], 0
     for family in ("puffer", "hoodie", "t-shirt"):
         dressed = clothe(default_body, Clothes((trousers, random_garment(rng, family))), rng)
-        assert ("jacket" in pocket_kinds(dressed)) == (family != "t-shirt")
+        assert ("jacket" in pockets_of(dressed.clothes.garments)) == (family != "t-shirt")
         for _ in range(3):
             plain = dressed.pose(standing())
             person = posed_in_clothes(dressed, standing(), rng, 1.0)

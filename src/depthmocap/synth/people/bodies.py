@@ -13,7 +13,8 @@ from depthmocap.synth.people.garments import DressedBody, clothe
 from depthmocap.synth.people.outdoors import JACKET_SHARE, for_outdoors
 from depthmocap.synth.people.wardrobe import ORDINARY_CLOTHES, random_clothes
 
-#: What people of ``open`` wear: what is worn indoors, that and what is worn outdoors, or all an outdoor jacket.
+#: What people of ``open`` wear: what is worn indoors; that, and what is worn outdoors, robes and shawls; or all an
+#: outdoor jacket.
 Wardrobe = Literal["indoors", "any", "outdoors"]
 
 #: The one character of easy and inter, and the first of the sixteen of hard.

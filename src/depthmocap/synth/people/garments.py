@@ -14,8 +14,16 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from depthmocap.synth.body.mesh import Body, BodyModel, BoneTransforms, Phenotype
-from depthmocap.synth.people.hood import Bound, collar, hood_down, hood_up
-from depthmocap.synth.people.sheet import Sheet, grid_faces, hair_sheet, leg_capsules, skirt_sheet, tail_sheet
+from depthmocap.synth.people.hood import Bound, collar, hat, hood_down, hood_up, scarf_roll
+from depthmocap.synth.people.sheet import (
+    Sheet,
+    grid_faces,
+    hair_sheet,
+    leg_capsules,
+    scarf_end,
+    skirt_sheet,
+    tail_sheet,
+)
 from depthmocap.synth.people.shell import (
     PosedCloth,
     RestCloth,
@@ -127,17 +135,19 @@ def clothe(body: Body, clothes: Clothes, rng: np.random.Generator) -> DressedBod
             sheet = skirt_sheet(rest, body, legs, garment, shell.anchors_off_m, under, rng)
         worn = worn_now
         if len(shell.faces) or sheet is not None:  # not wholly beneath another
-            pieces.append(Piece(_cloth(garment), shell, sheet))
+            pieces.append(Piece(cloth_material(garment), shell, sheet))
         pieces.extend(_round_the_neck(rest, body, garment, clothes.hair, worn, rng))
     if over_trousers:
         pieces.append(Piece(Material.SHOE, boot_shell(rest, clothes.shoes, worn)[0]))
     if clothes.shoes.style != "bare":
         pieces.extend(Piece(Material.SHOE, rigid=_shoe(body, clothes.shoes, side)) for side in "LR")
     pieces.extend(_hair(rest, body, clothes.hair, rng))
+    pieces.extend(_accessories(rest, body, clothes, worn, rng))
     return DressedBody(body, clothes, rest, tuple(pieces))
 
 
-def _cloth(garment: Garment) -> Material:
+def cloth_material(garment: Garment) -> Material:
+    """What a garment shows to a sensor."""
     return Material.DARK_CLOTH if garment.dark else Material.CLOTH
 
 
@@ -152,7 +162,23 @@ def _round_the_neck(
         parts.append(hood_down(rest, body, garment, worn, rng))
     if garment.hood == "up":
         parts.append(hood_up(rest, body, garment, hair.volume_m, worn, rng))
-    return [Piece(_cloth(garment), rigid=part) for part in parts]
+    return [Piece(cloth_material(garment), rigid=part) for part in parts]
+
+
+def _accessories(
+    rest: RestCloth, body: Body, clothes: Clothes, worn: Float[ndarray, "n"], rng: np.random.Generator
+) -> list[Piece]:
+    """A scarf with its ends, and what is on the head."""
+    pieces = []
+    if clothes.scarf is not None:
+        pieces.append(Piece(Material.CLOTH, rigid=scarf_roll(rest, body, clothes.scarf, worn, rng)))
+        off = float(worn[rest.cloth.chest].mean())
+        for side, length in zip((-1.0, 1.0), clothes.scarf.ends_m, strict=True):
+            if length:
+                pieces.append(Piece(Material.CLOTH, sheet=scarf_end(rest, body, side, length, off, rng)))
+    if clothes.hat.style != "none":
+        pieces.append(Piece(Material.CLOTH, rigid=hat(rest, body, clothes.hat, clothes.hair.volume_m, rng)))
+    return pieces
 
 
 def _hair(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator) -> list[Piece]:

@@ -1,4 +1,4 @@
-"""Standing collars and hoods: meshes of their own round the neck and the head, since they leave the skin."""
+"""Collars, scarves, hoods and hats: meshes of their own round the neck and the head, since they leave the skin."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy import ndarray
 from depthmocap.synth.body.mesh import Body, BoneTransforms
 from depthmocap.synth.people.sheet import grid_faces, ramp
 from depthmocap.synth.people.shell import RestCloth
-from depthmocap.synth.people.wardrobe import Garment
+from depthmocap.synth.people.wardrobe import Garment, Hat, Scarf
 
 #: Columns round the neck and round the opening of a hood.
 _COLUMNS = 28
@@ -67,7 +67,7 @@ class _Neck:
         return np.stack([x + self.centre[0], back + self.centre[1], z], -1)
 
 
-def _bound(body: Body, points: Float[ndarray, "r c 3"], bones: dict[str, ndarray], closed: bool) -> Bound:
+def _bound(body: Body, points: Float[ndarray, "r c 3"], bones: dict[str, ndarray | float], closed: bool) -> Bound:
     """A grid of points, bound to bones by weights of the grid's shape."""
     flat = np.stack([np.broadcast_to(weight, points.shape[:2]).ravel() for weight in bones.values()], 1)
     names = np.array([body.model.bone_names.index(name) for name in bones], np.int32)
@@ -120,7 +120,7 @@ def hood_down(
     base = rng.uniform(0.0, 0.015)
     off = base + size + size * lumps * np.cos(angle) + 0.25 * droop * low
     up = rng.uniform(0.0, 0.03) + 0.7 * size + rng.uniform(0.8, 1.3) * size * lumps * np.sin(angle) - droop * low
-    return _bound(body, neck.ring(azimuth, off, up), {"spine01": np.array(1.0)}, False)
+    return _bound(body, neck.ring(azimuth, off, up), {"spine01": 1.0}, False)
 
 
 def hood_up(
@@ -161,3 +161,69 @@ def hood_up(
     points = np.concatenate([lip, points])
     turning = ramp((points[..., 2] - neck.centre[2] - 0.02) / (0.1 * neck.scale))
     return _bound(body, points, {"head": turning, "spine01": 1 - turning}, True)
+
+
+def scarf_roll(rest: RestCloth, body: Body, scarf: Scarf, worn: Float[ndarray, "n"], rng: np.random.Generator) -> Bound:
+    """A scarf wound round the neck, up to the chin where it is thick."""
+    neck = _Neck.of(rest, body, worn)
+    azimuth = np.linspace(-np.pi, np.pi, _COLUMNS, endpoint=False)
+    size = scarf.roll_m * neck.scale * (1 + 0.15 * np.cos(rng.integers(2, 6) * azimuth + rng.uniform(0, 6)))
+    angle = np.linspace(0, 2 * np.pi, 11)[:, None]
+    tall = rng.uniform(1.0, 1.6)
+    off = 0.7 * size + size * np.cos(angle)
+    up = (0.8 * tall - 0.2) * size + tall * size * np.sin(angle)
+    turning = rng.uniform(0.1, 0.5)
+    return _bound(body, neck.ring(azimuth, off, up), {"spine01": 1 - turning, "neck02": turning}, True)
+
+
+def hat(rest: RestCloth, body: Body, worn: Hat, hair_m: float, rng: np.random.Generator) -> Bound:
+    """A beanie, a cap, a hat with a brim or a helmet.
+
+    Args:
+        hair_m: thickness of the hair beneath.
+    """
+    scalp = rest.points[rest.cloth.head]
+    low, high = scalp.min(0), scalp.max(0)
+    scale = max(rest.scale, 0.8)
+    eye = float(body.rest_heads[body.model.bone_names.index("eye.L")][2])
+    pad = hair_m + worn.thickness_m
+    edge = eye + rng.uniform(0.025, 0.055) * scale
+    half = (high - low) / 2 + pad
+    above = float(high[2]) + pad - edge
+    centre = np.array([0.0, (low[1] + high[1]) / 2, edge])
+    # As large as it takes for the whole skull.
+    skull = (scalp[scalp[:, 2] > edge] - centre) / (np.array([half[0], half[1], above]) - pad)
+    room = max(float(np.linalg.norm(skull, axis=1).max()), 1.0)
+    half, above = half * room, above * room
+    azimuth = np.linspace(-np.pi, np.pi, _COLUMNS, endpoint=False)
+    polar = np.linspace(0.0, np.pi / 2, 9)[:, None]
+    square = np.sin(polar) ** rng.uniform(0.75, 1.0)
+    # Lower behind than before; over the ears where it is a helmet or a warm beanie.
+    behind = 0.5 + 0.5 * np.cos(azimuth)
+    beside = np.sin(azimuth) ** 2
+    ears = {"helmet": rng.uniform(0.01, 0.08), "beanie": rng.uniform(0.0, 0.06)}.get(worn.style, 0.0)
+    nape = rng.uniform(0.04, 0.09) if worn.style == "beanie" else rng.uniform(0.02, 0.06)
+    lower = (nape * behind + ears * np.maximum(beside, behind)) * scale * polar / (np.pi / 2)
+    slack = rng.uniform(0, 0.35) if worn.style == "beanie" else 0.0
+    grown = 1 + slack * np.cos(polar) ** 2 * np.sin(polar) * behind
+    radius = np.stack([half[0] * square * np.sin(azimuth) * grown, half[1] * square * np.cos(azimuth) * grown], -1)
+    z = edge + above * np.cos(polar) * (1 + 0.5 * slack * behind) - lower
+    points = np.concatenate([radius + centre[:2], z[..., None]], -1)
+    rim = _rim(points[-1], worn, azimuth, rng)
+    return _bound(body, np.concatenate([points, rim]), {"head": 1.0}, True)
+
+
+def _rim(edge: Float[ndarray, "c 3"], worn: Hat, azimuth: Float[ndarray, "c"], rng: np.random.Generator) -> ndarray:
+    """Rows of points beyond a hat's edge: a turned-up border, a visor in front, a brim all around, or none."""
+    out = np.stack([np.sin(azimuth), np.cos(azimuth), 0 * azimuth], -1)
+    up = np.array([0.0, 0, 1])
+    if worn.style == "beanie":
+        tall, thick = rng.uniform(0.03, 0.06), rng.uniform(0.004, 0.012)
+        return np.stack([edge + thick * out, edge + thick * out + tall * up, edge - thick * out + tall * up])
+    front = 0.5 - 0.5 * np.cos(azimuth)
+    reach = worn.brim_m * (np.clip(front - 0.55, 0, None) / 0.45) ** 0.5 if worn.style == "cap" else worn.brim_m
+    reach = np.broadcast_to(reach, azimuth.shape)[:, None]
+    curl, tilt = rng.uniform(-0.3, 0.5), rng.uniform(-0.1, 0.3)
+    sides = (curl * np.sin(azimuth) ** 2 - tilt * front)[:, None]
+    rows = [edge + share * reach * (out + share * sides * up) for share in (0.33, 0.66, 1.0)]
+    return np.stack(rows) if worn.brim_m else np.stack([edge - 0.01 * out])

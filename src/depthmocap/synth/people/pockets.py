@@ -12,16 +12,17 @@ from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.geometry.transforms import unit
 from depthmocap.synth.motion.pocketed_hands import Pocketed, PocketKind, arms_off_trunk, hands_in_pockets
 from depthmocap.synth.motion.touch import across
-from depthmocap.synth.people.garments import DressedBody
+from depthmocap.synth.people.garments import DressedBody, cloth_material
 from depthmocap.synth.people.sheet import grid_faces
 from depthmocap.synth.people.wardrobe import Garment
-from depthmocap.synth.render import Layer, Material, PosedPerson
+from depthmocap.synth.render import Layer, PosedPerson
 from depthmocap.synth.scenes.objects import vertices_of
 
 #: Share of people with a hand or both in pockets: those with pockets on the trunk, and those who wear trousers alone.
 _ON_THE_TRUNK, _IN_TROUSERS = 0.3, 0.12
 #: Families with pockets on the trunk; those with one before the belly; how often each kind where there are several.
 _JACKETS = ("hoodie", "jacket", "puffer", "parka", "anorak", "fleece")
+_TROUSERS = ("trousers", "shorts")
 _FRONT = ("hoodie", "anorak")
 _SHARES: dict[PocketKind, float] = {"jacket": 5, "front": 3, "trousers": 1.5, "seat": 0.3}
 #: Spacing of a pocket's cloth (metres), its thickness, and how far it goes beyond the hand all around.
@@ -37,18 +38,18 @@ _ARM = ("hand", "wrist", "forearm", "elbow", "upper arm", "shoulder front", "sho
 _NEAR_M = 0.25
 
 
-def pocket_kinds(dressed: DressedBody) -> list[PocketKind]:
-    """The pockets of what somebody wears, as often as each is used."""
-    worn = dressed.clothes.garments
-    top = _top(worn)
-    kinds: list[PocketKind] = []
+def pockets_of(garments: tuple[Garment, ...]) -> dict[PocketKind, Garment]:
+    """The pockets there are in what somebody wears, and what each is of."""
+    top = _top(garments)
+    found: dict[PocketKind, Garment] = {}
     if top is not None and top.family in _JACKETS:
-        kinds.append("jacket")
+        found["jacket"] = top
         if top.family in _FRONT and not top.open_m:
-            kinds.append("front")
-    if any(garment.family in ("trousers", "shorts") for garment in worn):
-        kinds.extend(("trousers", "seat"))
-    return kinds
+            found["front"] = top
+    for garment in garments:
+        if garment.family in _TROUSERS:
+            found["trousers"] = found["seat"] = garment
+    return found
 
 
 def _top(garments: tuple[Garment, ...]) -> Garment | None:
@@ -70,25 +71,22 @@ def posed_in_clothes(
     bulk = 0.0 if top is None or not top.sleeve else top.thickness_m + 0.3 * top.slack_m
     if bulk > 0.02:
         posture = arms_off_trunk(posture, bulk * rng.uniform(0.3, 1.0))
-    kinds = pocket_kinds(dressed)
+    pockets = pockets_of(dressed.clothes.garments)
     if share is None:
-        share = _ON_THE_TRUNK if "jacket" in kinds else _IN_TROUSERS
-    if not kinds or rng.random() >= share:
+        share = _ON_THE_TRUNK if "jacket" in pockets else _IN_TROUSERS
+    if not pockets or rng.random() >= share:
         return dressed.pose(posture)
+    kinds = list(pockets)
     weights = np.array([_SHARES[kind] for kind in kinds])
     order = rng.choice(len(kinds), 2, p=weights / weights.sum())
     beneath = rng.uniform(0.2, 0.7) * bulk
     posture, hands = hands_in_pockets(posture, [kinds[int(i)] for i in order], beneath, rng)
     person = dressed.pose(posture)
-    cloths = [layer.material for layer in person.layers if layer.material in (Material.CLOTH, Material.DARK_CLOTH)]
-    padding = 0.5 * top.thickness_m if top is not None and top.padded else 0.0
-    covers = tuple(_cover(person, hand, padding, cloths[-1], rng) for hand in hands)
+    covers = tuple(_cover(person, hand, pockets[hand.kind], rng) for hand in hands)
     return dataclasses.replace(person, layers=person.layers + covers)
 
 
-def _cover(
-    person: PosedPerson, pocketed: Pocketed, padding_m: float, material: Material, rng: np.random.Generator
-) -> Layer:
+def _cover(person: PosedPerson, pocketed: Pocketed, garment: Garment, rng: np.random.Generator) -> Layer:
     """A pocket's cloth: over the hand, down to the body around it, open towards the wrist.
 
     It is a height over the plane of the body's skin there, found on a grid: above the hand, and taut between that and
@@ -107,8 +105,8 @@ def _cover(
 
     others = ~vertices_of(person.body.model, _ARM) & (np.abs(person.vertices - middle).max(1) < _NEAR_M)
     body = (person.vertices[others] - middle) @ frame
-    padding_m = padding_m if pocketed.kind in ("jacket", "front") else 0.0
-    over_hand = _widest(_heights(local, rows, columns)) + rng.uniform(*_THICK_M) + padding_m
+    padding = 0.5 * garment.thickness_m if garment.padded else 0.0
+    over_hand = _widest(_heights(local, rows, columns)) + rng.uniform(*_THICK_M) + padding
     under = _heights(body, rows, columns)
     floor = float(local[:, 2].min()) - 0.05
     under = np.where(np.isfinite(under), np.minimum(under, local[:, 2].max()), floor)
@@ -122,7 +120,7 @@ def _cover(
         height[0, 1:-1] = np.maximum(lowest[0, 1:-1], height[1, 1:-1])
     x, y = np.meshgrid(rows, columns, indexing="ij")
     points = middle + np.stack([x, y, height], -1).reshape(-1, 3) @ frame.T
-    return Layer(points.astype(np.float32), grid_faces(len(rows), len(columns), False), material)
+    return Layer(points.astype(np.float32), grid_faces(len(rows), len(columns), False), cloth_material(garment))
 
 
 def _heights(

@@ -246,13 +246,18 @@ def hair_sheet(rest: RestCloth, body: Body, hair: Hair, off_m: Float[ndarray, "c
     waves = 1 + hair.lumps * np.cos(rng.integers(4, 9) * azimuth + rng.uniform(0, 6))
     reach = off_m + (hair.volume_m * (waves - 1) + 0.015) * ramp(down / 0.06)[:, None]
     plane = line[:, :2] + reach[..., None] * out
+    if hair.forward:  # what hangs at the sides lies before the shoulders, some of it across the collarbones
+        side, fallen = np.abs(azimuth), hair.forward * rest.scale * ramp(down / 0.2)[:, None]
+        inwards = np.sign(azimuth) * (0.06 * ramp((side - 1.3) / 0.6) - 0.015)
+        plane = plane - fallen[..., None] * np.stack([inwards, 0.16 * ramp((side - 0.7) / 0.8)], -1)
     # Shorter towards the face.
     shorter = 1 - 0.35 * rng.uniform() * (np.abs(azimuth) / HAIR_SIDE_RAD) ** 4
     points = np.concatenate([plane, (line[:, 2] - down[:, None] * shorter)[..., None]], 2)
     shoulders = np.broadcast_to(ramp((down - 0.1) / 0.15)[:, None], plane.shape[:2])
     weights = np.stack([1 - shoulders, shoulders], -1)
     bones = [names.index("head"), names.index("spine01")]
-    return _sheet(points, bones, weights, False, np.arange(len(azimuth)), upper_capsules(rest, body), 0.012, 0.015, 14)
+    columns, margin = np.arange(len(azimuth)), 0.012 + 0.02 * hair.forward
+    return _sheet(points, bones, weights, False, columns, upper_capsules(rest, body), margin, 0.015, 14)
 
 
 def tail_sheet(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator) -> Sheet:
@@ -274,3 +279,32 @@ def tail_sheet(rest: RestCloth, body: Body, hair: Hair, rng: np.random.Generator
     bones = [names.index("head"), names.index("spine01")]
     weights = np.stack([1 - shoulders, shoulders], -1)
     return _sheet(points, bones, weights, True, np.arange(8), upper_capsules(rest, body), 0.01, 0.012, 14)
+
+
+def scarf_end(
+    rest: RestCloth, body: Body, side: float, length_m: float, off_m: float, rng: np.random.Generator
+) -> Sheet:
+    """An end of a scarf that hangs from the neck on the chest.
+
+    Args:
+        side: −1 on the right to 1 on the left.
+        off_m: how far what is worn stands off the chest.
+    """
+    names = body.model.bone_names
+    root = body.rest_heads[names.index("neck01")]
+    chest = float(rest.points[rest.cloth.chest, 1].min())
+    length = length_m * rest.scale
+    down = np.linspace(0, length, max(round(length / _HAIR_ROW_M), 3) + 1)
+    angle = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    wide, deep = rng.uniform(0.03, 0.08) * rest.scale, rng.uniform(0.008, 0.02)
+    fold = 1 + 0.2 * np.cos(rng.uniform(8, 20) * down[:, None] + rng.uniform(0, 6))
+    x = side * 0.045 * rest.scale + wide * fold * np.sin(angle)
+    # From before the neck down to before the chest.
+    front = (root[1] - 0.09 * rest.scale) + (chest - off_m - root[1] + 0.06 * rest.scale) * ramp(down / 0.12)
+    y = front[:, None] - deep * (1 + np.cos(angle))
+    z = root[2] - 0.02 - down[:, None] + 0.0 * angle
+    lower = np.broadcast_to(ramp((down - 0.15) / 0.2)[:, None], x.shape)
+    bones = [names.index("spine01"), names.index("spine03")]
+    weights = np.stack([1 - lower, lower], -1)
+    capsules = upper_capsules(rest, body)
+    return _sheet(np.stack([x, y, z], 2), bones, weights, True, np.arange(8), capsules, off_m + 0.008, 0.012, 14)

@@ -134,9 +134,14 @@ def garment_level(cloth: ClothMap, garment: Garment) -> Float[ndarray, "n"]:
     if garment.open_m:
         gap = garment.open_m * (1 - 0.8 * np.clip(height, 0, 0.6))
         inside[front] = np.minimum(inside, across - gap)[front]
+    if garment.one_shoulder:
+        slanted = garment.one_shoulder * cloth.default[trunk, 0] + 0.03 - 0.45 * (height - 0.55)
+        inside = np.minimum(inside, slanted)
     level[trunk] = inside
     if garment.sleeve > 0:
         level[arm] = (garment.sleeve - cloth.along[arm]) * ARM_M
+        if garment.one_shoulder:
+            level[arm][cloth.slant[arm] != garment.one_shoulder] = _OFF
     else:
         level[trunk] = np.minimum(inside, (0.3 - cloth.armness[trunk]) * 0.2)
     return level

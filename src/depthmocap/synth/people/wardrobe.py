@@ -19,6 +19,7 @@ HELD_OUT_FAMILY = "coat"
 SKIRT_LINE_M = 0.05
 
 Hood = Literal["none", "down", "up"]
+HatStyle = Literal["none", "beanie", "cap", "brim", "helmet"]
 HairStyle = Literal["bald", "short", "curly", "bob", "long", "ponytail", "bun"]
 ShoeStyle = Literal["bare", "shoes", "boots"]
 
@@ -47,6 +48,7 @@ class Garment:
         hood: a hood's own shape: none, lying round the neck and on the back, or up, over the head.
         collar_m: height of a collar that stands round the neck, from its root; 0 is none.
         quilt_m: distance of the seams across trunk and sleeves between which padding bulges; 0 is none.
+        one_shoulder: 1 for what is wound over the left shoulder alone and slants to the other hip, −1 for the right.
         dark: dark cloth, which returns less light.
     """
 
@@ -69,6 +71,7 @@ class Garment:
     hood: Hood = "none"
     collar_m: float = 0.0
     quilt_m: float = 0.0
+    one_shoulder: float = 0.0
     dark: bool = False
 
     def __post_init__(self) -> None:
@@ -102,12 +105,14 @@ class Garment:
 
 @dataclasses.dataclass(frozen=True)
 class Hair:
-    """Hair: its thickness over the scalp (metres), the length of what hangs (metres), and 0–1 how lumpy it is."""
+    """Hair: its thickness over the scalp (metres), the length of what hangs (metres), 0–1 how lumpy it is, and 0–1 how
+    much of what hangs lies before the shoulders."""
 
     style: HairStyle = "short"
     volume_m: float = 0.015
     length_m: float = 0.0
     lumps: float = 0.3
+    forward: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,12 +126,31 @@ class Shoes:
 
 
 @dataclasses.dataclass(frozen=True)
+class Hat:
+    """What is worn on the head: its thickness over the hair, and how far a brim or a visor reaches out (metres)."""
+
+    style: HatStyle = "none"
+    thickness_m: float = 0.01
+    brim_m: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Scarf:
+    """A scarf round the neck: radius of its roll, and lengths of the ends on the chest, 0 for none (metres)."""
+
+    roll_m: float = 0.03
+    ends_m: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclasses.dataclass(frozen=True)
 class Clothes:
-    """All that a person wears: garments from the inside out, hair and shoes."""
+    """All that a person wears: garments from the inside out, hair, shoes, a hat and a scarf."""
 
     garments: tuple[Garment, ...] = ()
     hair: Hair = Hair("bald")
     shoes: Shoes = Shoes("bare")
+    hat: Hat = Hat()
+    scarf: Scarf | None = None
 
 
 _Range = tuple[float, float]
@@ -161,6 +185,11 @@ FAMILIES: dict[str, dict[str, _Range]] = {
     "dress": {"thickness_m": (0.003, 0.008), "slack_m": (0.003, 0.035), "sag": (0.1, 0.8), "folds_m": (0.002, 0.02),
               "neck": (-0.06, 0.03), "v_neck_m": (0, 0.07), "sleeve": (0, 1.95), "skirt_m": (0.25, 0.9),
               "flare": (0.0, 0.45)},
+    # To the ground, closed, of thin cloth, so that no coat is like it.
+    "gown": {"thickness_m": (0.003, 0.008), "slack_m": (0.015, 0.055), "sag": (0.7, 1), "folds_m": (0.004, 0.016),
+             "neck": (0.0, 0.05), "sleeve": (1.5, 2.0), "skirt_m": (0.84, 1.0), "flare": (0.03, 0.35)},
+    "shawl": {"thickness_m": (0.003, 0.012), "slack_m": (0.01, 0.05), "sag": (0.6, 1), "folds_m": (0.005, 0.016),
+              "hem": (0.0, 0.2), "neck": (-0.03, 0.03), "sleeve": (0.1, 1.0)},
     # Outdoor jackets. They end above the middle of the thighs, where the shortest coat goes on.
     "puffer": {"thickness_m": (0.02, 0.06), "slack_m": (0.01, 0.05), "sag": (0.7, 1), "folds_m": (0.002, 0.008),
                "hem": (-0.08, 0.17), "neck": (0.01, 0.04), "sleeve": (1.8, 2.02), "cuff": (0.2, 1),
@@ -176,6 +205,8 @@ FAMILIES: dict[str, dict[str, _Range]] = {
                "hood_m": (0.005, 0.02), "collar_m": (0.03, 0.1)},
 }  # fmt: skip
 
+#: Families of some peoples and occasions.
+ROBE_FAMILIES = ("gown", "shawl")
 #: Families worn over all else and outdoors: thick, stiff or blown up, with standing collars and hoods.
 OUTDOOR_FAMILIES = ("puffer", "parka", "anorak", "fleece")
 
@@ -195,6 +226,8 @@ def random_garment(rng: np.random.Generator, family: str) -> Garment:
     garment = dataclasses.replace(Garment(family), **values, dark=bool(rng.random() < DARK_SHARE))
     if family in ("jacket", "coat", *OUTDOOR_FAMILIES) and rng.random() < 0.45:
         garment = dataclasses.replace(garment, open_m=float(rng.uniform(0.04, 0.12)))
+    if family == "shawl":
+        garment = dataclasses.replace(garment, one_shoulder=float(rng.choice([-1.0, 1.0])))
     if family == "dress" and rng.random() < 0.35:
         garment = dataclasses.replace(garment, sleeve=0.0)
     return garment
