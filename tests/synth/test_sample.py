@@ -85,8 +85,8 @@ def test_views_of_a_sample(samples: list[Sample]) -> None:
             assert view.labels is not None
             np.testing.assert_array_equal(view.mask, view.depth_m > 0)
             assert not (view.labels[~view.mask] > 0).any()
-            # Only cloth and hair that reach over the skin's outline have no label.
-            assert np.count_nonzero(view.labels) > 0.5 * np.count_nonzero(view.mask)
+            # Only cloth and hair that reach over the skin's outline have no label: of a gown to the ground, much of it.
+            assert np.count_nonzero(view.labels) > 0.4 * np.count_nonzero(view.mask)
             assert view.labels.max() <= 43
             assert np.count_nonzero(view.mask) > 500
 
