@@ -26,7 +26,7 @@ from depthmocap.exporting.run_result import RunResult
 from depthmocap.exporting.summary import Quantiles, Summary, Take, count_problems, problem_lines, unsure_lines
 from depthmocap.exporting.timeline import LEAST_CONFIDENCE
 from depthmocap.frames import FrameSet, FrameSource, Pose
-from depthmocap.offline.pipeline import STAGES, Result
+from depthmocap.offline.pipeline import STAGES, Pipeline, Result
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline, open_source
 from depthmocap.offline.run_report import Pictures, write_run_report
 from depthmocap.pose.extrinsics_check import Agreement
@@ -81,79 +81,36 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
             break
         pipeline.reset()
     pictures = Pictures(len(source), source.up) if settings.report else None
-
-    rows: list[tuple[Pose, Float[ndarray, "18 3"], dict[str, float]]] = []
-    delivered: dict[str, int] = dict.fromkeys(source.rig.names, 0) if isinstance(source, Recording) else {}
-    by_person: collections.Counter[str] = collections.Counter()
-    interrupted = False
-    agreement = Agreement()
-    misplaced: list[str] = []
-    # Frames whose pose a filter that waits has not given yet.
-    waiting: collections.deque[tuple[FrameSet, Result, dict[str, float]]] = collections.deque()
-    delay = pipeline.smoothing.delay_frames if pipeline.smoothing else 0
-    columns = (
-        TextColumn("capturing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        TextColumn("{task.fields[rate]}"),
-    )  # fmt: skip
     remove_results(settings.out)
-    files, everybody = PoseFiles(settings.out, take), PeopleFiles(settings.out, take)
-    with files, everybody, Progress(*columns, console=console) as progress:
+    files, people_files = PoseFiles(settings.out, take), PeopleFiles(settings.out, take)
+    capture = _Capture(source, pipeline, files, people_files if settings.people > 1 else None, pictures)
+    interrupted = False
+    with files, people_files, _progress(console) as progress:
         task = progress.add_task("capturing", total=len(source), rate="")
         recent_ms: collections.deque[float] = collections.deque(maxlen=30)
-
-        def finished(pose: Pose) -> None:
-            with finishing():
-                frames, result, milliseconds = waiting.popleft()
-                files.write(pose)
-                truth = frames.true_joints if frames.true_joints is not None else np.full((len(JOINTS), 3), np.nan)
-                rows.append((pose, truth, milliseconds))
-                if pictures is not None:
-                    pictures.add(frames, dataclasses.replace(result, pose=pose))
-
         try:
             before = time.perf_counter()
             for frames in source:
                 read_ms = (time.perf_counter() - before) * 1e3
                 take.begin(frames.timestamp_ns)
-                result = pipeline(frames)
-                waiting.append((frames, result, {"read": read_ms, **result.milliseconds}))
-                misplaced += agreement(result.cloud)
-                by_person.update(str(person.number) for person in result.people)
-                if settings.people > 1:
-                    everybody.write(result.final)
-                if len(waiting) > delay:
-                    finished(result.pose)
-                for view in frames.views:
-                    delivered[view.camera.name] = delivered.get(view.camera.name, 0) + 1
-                recent_ms.append(read_ms + sum(result.milliseconds.values()))
+                recent_ms.append(capture.add(frames, read_ms))
                 progress.update(task, advance=1, rate=f"{1e3 / np.mean(recent_ms):.0f} frames/s")
                 before = time.perf_counter()
         except KeyboardInterrupt:
             interrupted = True
         last.enter_context(finishing())
         if interrupted:
-            console.print(f"stopped after {len(rows)} of {len(source)} frames; writing what was done")
-        everybody.write(pipeline.finish_people())
-        for pose in pipeline.finish():
-            # An interruption may have come between the filter and this list.
-            if waiting and waiting[0][0].timestamp_ns == pose.timestamp_ns:
-                finished(pose)
-        misplaced += agreement.finish()
+            console.print(f"stopped after {capture.done} of {len(source)} frames; writing what was done")
+        people_files.write(pipeline.finish_people())
+        capture.finish()
         files.numbers = {
-            **_numbers([row[2] for row in rows], delivered),
+            **capture.numbers(),
             "interrupted": interrupted,
-            "smoothing": pipeline.smoothing.describe() if pipeline.smoothing else None,
-            "frames_by_person": dict(by_person),
-            "cameras_apart_cm": {name: 100 * apart_m for name, apart_m in agreement.apart_m().items()},
-            "error": _error([row[0] for row in rows], [row[1] for row in rows]),
             "problems": count_problems(
-                dict.fromkeys(misplaced),
-                source.problems,
-                pipeline.segment.problems,
-                everybody.problems,
+                dict.fromkeys(capture.misplaced), source.problems, pipeline.segment.problems, people_files.problems
             ),
         }
-    if interrupted and not rows:
+    if interrupted and not capture.done:
         raise KeyboardInterrupt
     summary = files.summary
     if summary["gaps"] == summary["frames"]:
@@ -162,10 +119,101 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
         raise InputError(f"{settings.recording}: no person was found in any of {summary['frames']} frames: {hint}")
     if pictures is not None:
         with console.status("drawing the report"):
-            truths, estimates = np.stack([row[1] for row in rows]), np.stack([row[0].joints for row in rows])
-            write_run_report(settings.out, summary, pictures, truths, estimates)
+            write_run_report(settings.out, summary, pictures, np.stack(capture.truths), np.stack(capture.joints))
     _tell(summary, settings.out, console)
     return summary
+
+
+def _progress(console: Console) -> Progress:
+    columns = (
+        TextColumn("capturing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        TextColumn("{task.fields[rate]}"),
+    )  # fmt: skip
+    return Progress(*columns, console=console)
+
+
+class _Capture:
+    """A pipeline over the frames of a source: every pose that is final is written, counted and drawn.
+
+    Attributes:
+        misplaced: cameras that do not fit the others, a line each.
+    """
+
+    def __init__(
+        self,
+        source: FrameSource,
+        pipeline: Pipeline,
+        files: PoseFiles,
+        people_files: PeopleFiles | None,
+        pictures: Pictures | None,
+    ) -> None:
+        """``people_files`` are of several people, who are followed besides."""
+        self._pipeline, self._files, self._people_files, self._pictures = pipeline, files, people_files, pictures
+        self._delay = pipeline.smoothing.delay_frames if pipeline.smoothing else 0
+        #: Frames whose pose a filter that waits has not given yet.
+        self._waiting: collections.deque[tuple[FrameSet, Result, dict[str, float]]] = collections.deque()
+        self._poses: list[Pose] = []
+        self._milliseconds: list[dict[str, float]] = []
+        self._by_camera: dict[str, int] = dict.fromkeys(source.camera_names, 0)
+        self._by_person: collections.Counter[str] = collections.Counter()
+        self._extrinsics = Agreement()
+        self.truths: list[Float[ndarray, "18 3"]] = []
+        self.misplaced: list[str] = []
+
+    @property
+    def done(self) -> int:
+        """Frames whose pose is final."""
+        return len(self._poses)
+
+    @property
+    def joints(self) -> list[Float[ndarray, "18 3"]]:
+        """Joints of the final poses."""
+        return [pose.joints for pose in self._poses]
+
+    def add(self, frames: FrameSet, read_ms: float) -> float:
+        """Take the next frames; gives the milliseconds that they took, with those of reading them."""
+        result = self._pipeline(frames)
+        self._waiting.append((frames, result, {"read": read_ms, **result.milliseconds}))
+        self.misplaced += self._extrinsics(result.cloud)
+        self._by_person.update(str(person.number) for person in result.people)
+        if self._people_files is not None:
+            self._people_files.write(result.final)
+        if len(self._waiting) > self._delay:
+            self._add_final(result.pose)
+        for view in frames.views:
+            self._by_camera[view.camera.name] = self._by_camera.get(view.camera.name, 0) + 1
+        return read_ms + sum(result.milliseconds.values())
+
+    def finish(self) -> None:
+        """Take the poses that a filter has held back."""
+        for pose in self._pipeline.finish():
+            # An interruption may have come between the filter and the frames that wait.
+            if self._waiting and self._waiting[0][0].timestamp_ns == pose.timestamp_ns:
+                self._add_final(pose)
+        self.misplaced += self._extrinsics.finish()
+
+    def _add_final(self, pose: Pose) -> None:
+        with finishing():
+            frames, result, milliseconds = self._waiting.popleft()
+            self._files.write(pose)
+            unknown = np.full((len(JOINTS), 3), np.nan)
+            self.truths.append(unknown if frames.true_joints is None else frames.true_joints)
+            self._poses.append(pose)
+            self._milliseconds.append(milliseconds)
+            if self._pictures is not None:
+                self._pictures.add(frames, dataclasses.replace(result, pose=pose))
+
+    def numbers(self) -> dict[str, Any]:
+        """What the summary tells of the frames: how long they took, whose they were, and how well they fit."""
+        smoothing = self._pipeline.smoothing
+        return {
+            "frames_by_camera": self._by_camera,
+            "frames_by_person": dict(self._by_person),
+            **_speed(self._milliseconds),
+            "smoothing": smoothing.describe() if smoothing else None,
+            "cameras_apart_cm": {name: 100 * apart_m for name, apart_m in self._extrinsics.apart_m().items()},
+            "error": _error(self._poses, self.truths),
+        }
 
 
 def _way_out(source: FrameSource, segment: Mode) -> str:
@@ -191,17 +239,16 @@ def _tell(summary: Summary, out: Path, console: Console) -> None:
         console.print(f"  {problem}")
 
 
-def _numbers(times: list[dict[str, float]], delivered: dict[str, int]) -> dict[str, Any]:
-    """How long the frames took, and whose they were."""
-    per_frame = np.array([sum(row.values()) for row in times])
+def _speed(times: list[dict[str, float]]) -> dict[str, Any]:
+    """How long the frames took, by stage and in all."""
     if not times:
-        return {"frames_by_camera": delivered}
+        return {}
+    per_frame = np.array([sum(row.values()) for row in times])
 
     def quantiles(values: Float[ndarray, " t"]) -> Quantiles:
         return {"p50": float(np.median(values)), "p95": float(np.quantile(values, 0.95))}
 
     return {
-        "frames_by_camera": delivered,
         "seconds": float(per_frame.sum() / 1e3),
         "frames_per_second": float(1e3 / per_frame.mean()),
         "ms_per_frame": quantiles(per_frame),
