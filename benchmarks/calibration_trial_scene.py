@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from depthmocap.geometry import Rig, look_at
-from depthmocap.recordings.folder import RecordingWriter
+from depthmocap.recordings.recording_writer import RecordingWriter
 from depthmocap.synth.body.bones import POSTURE_INDEX
 from depthmocap.synth.motion.perform import Motion, pose_sequence
 from depthmocap.synth.motion.stroll import Stop, stroll

@@ -24,7 +24,7 @@ from depthmocap.pose.features import FEATURES_PER_REGION, MIN_POINTS, cloud_feat
 from depthmocap.pose.labelled_view import LabelledView
 from depthmocap.pose.parts import body_frame, part_statistics
 from depthmocap.pose.ridge import RidgePose
-from depthmocap.recordings.folder import Recording
+from depthmocap.recordings.recording import Recording
 from depthmocap.segment.people_segmenter import PeopleSegmenter, PersonMasks
 from depthmocap.smooth.filters import AUTO, load_filter
 from depthmocap.synth.motion.postures import PosturePrior

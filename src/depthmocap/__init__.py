@@ -39,8 +39,9 @@ if TYPE_CHECKING:
     from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline, open_source
     from depthmocap.offline.run import RunSettings, run
     from depthmocap.realtime.live_capture import LiveCapture, LivePose, live, live_people
-    from depthmocap.recordings.folder import Recording, RecordingWriter
     from depthmocap.recordings.open_recording import open_recording
+    from depthmocap.recordings.recording import Recording
+    from depthmocap.recordings.recording_writer import RecordingWriter
     from depthmocap.smooth.pose_filter import PoseFilter
 
 #: What is loaded on first use, by module.
@@ -55,7 +56,8 @@ _LAZY = {
     "depthmocap.offline.pipeline_settings": ("PipelineSettings", "load_pipeline", "open_source"),
     "depthmocap.offline.run": ("RunSettings", "run"),
     "depthmocap.realtime.live_capture": ("LiveCapture", "LivePose", "live", "live_people"),
-    "depthmocap.recordings.folder": ("Recording", "RecordingWriter"),
+    "depthmocap.recordings.recording": ("Recording",),
+    "depthmocap.recordings.recording_writer": ("RecordingWriter",),
     "depthmocap.recordings.open_recording": ("open_recording",),
     "depthmocap.smooth.pose_filter": ("PoseFilter",),
 }

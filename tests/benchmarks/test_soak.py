@@ -8,7 +8,7 @@ import pytest
 from fakes import Board, fake_pipeline
 from rich.console import Console
 
-from depthmocap.recordings.folder import RecordingWriter
+from depthmocap.recordings.recording_writer import RecordingWriter
 
 pytest.importorskip("foxglove")
 PATH = Path(__file__).parents[2] / "benchmarks" / "soak.py"

@@ -25,8 +25,9 @@ from depthmocap.cameras.source import (
 from depthmocap.core.console import Terminal
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.geometry import DepthCamera, Rig
-from depthmocap.recordings.folder import Recording, RecordingWriter
 from depthmocap.recordings.recorded_camera import RecordedCamera
+from depthmocap.recordings.recording import Recording
+from depthmocap.recordings.recording_writer import RecordingWriter
 
 CAMERA = DepthCamera("cam0", 8, 6, 7.0, 7.0, 4.0, 3.0, depth_unit_m=0.0005)
 

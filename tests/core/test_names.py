@@ -11,7 +11,8 @@ from depthmocap.cameras.registry import make_sources
 from depthmocap.core.names import check_camera_name, safe_name, safe_names
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, load_rig
-from depthmocap.recordings.folder import Recording, RecordingWriter
+from depthmocap.recordings.recording import Recording
+from depthmocap.recordings.recording_writer import RecordingWriter
 
 HARMLESS = ("cam0", "Küche links", "Kinect 1", "left.front", "カメラ", "[x]", "$frac{$", "_side", "console")
 HOSTILE = (

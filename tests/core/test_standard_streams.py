@@ -16,8 +16,8 @@ from file_contents import tree
 from depthmocap.cli import main
 from depthmocap.core.standard_streams import LastingStream
 from depthmocap.geometry import DepthCamera, Rig
-from depthmocap.recordings.folder import RecordingWriter
 from depthmocap.recordings.open_recording import open_recording
+from depthmocap.recordings.recording_writer import RecordingWriter
 
 SETS = 3
 NAMES = ("Küche", "b")

@@ -15,7 +15,8 @@ from depthmocap.exporting.pose_csv import write_csv
 from depthmocap.frames import Pose
 from depthmocap.geometry import DepthCamera, Rig, look_at
 from depthmocap.offline.pipeline_settings import load_pipeline
-from depthmocap.recordings.folder import Recording, RecordingWriter
+from depthmocap.recordings.recording import Recording
+from depthmocap.recordings.recording_writer import RecordingWriter
 from depthmocap.synth.body.mesh import REST_POSTURE
 from depthmocap.synth.render import render_body
 

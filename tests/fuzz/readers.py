@@ -236,7 +236,7 @@ class _Everywhere:
 
 
 def _recording(folder: Path) -> None:
-    from depthmocap.recordings.folder import RecordingWriter
+    from depthmocap.recordings.recording_writer import RecordingWriter
 
     rig = _rig()
     with RecordingWriter(folder / "rec", rig, {"left": _depth(rig["left"], 99)}) as writer:

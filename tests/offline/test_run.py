@@ -20,7 +20,7 @@ from depthmocap.exporting.result_files import PICTURES, RESULTS
 from depthmocap.exporting.summary import read_summary
 from depthmocap.geometry import DepthCamera, Rig, load_rig, look_at, save_rig
 from depthmocap.offline.run import _way_out
-from depthmocap.recordings.folder import RecordingWriter
+from depthmocap.recordings.recording_writer import RecordingWriter
 from depthmocap.synth.body.mesh import REST_POSTURE
 from depthmocap.synth.render import render_body
 

@@ -13,7 +13,8 @@ from depthmocap.cli import main
 from depthmocap.geometry import DepthCamera, Rig, load_rig, rigid_inverse, save_rig
 from depthmocap.pose.cloud import LabelledCloud
 from depthmocap.pose.extrinsics_check import FEWEST_SETS, SETS, Agreement
-from depthmocap.recordings.folder import Recording, RecordingWriter
+from depthmocap.recordings.recording import Recording
+from depthmocap.recordings.recording_writer import RecordingWriter
 
 NAMES = ("a", "b", "c", "d")
 

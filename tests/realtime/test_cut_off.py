@@ -19,7 +19,7 @@ from depthmocap.exporting.result_files import RESULTS
 from depthmocap.offline import run as offline
 from depthmocap.realtime import live_capture as live
 from depthmocap.realtime import live_command as command
-from depthmocap.recordings.folder import RecordingWriter
+from depthmocap.recordings.recording_writer import RecordingWriter
 
 SETS = 40
 

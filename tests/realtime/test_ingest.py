@@ -11,7 +11,8 @@ from depthmocap.realtime.ingest import Intake, frame_set, recorded_frames
 from depthmocap.realtime.problems import Problems
 from depthmocap.realtime.status import camera_statuses
 from depthmocap.realtime.sync import SyncSettings
-from depthmocap.recordings.folder import Recording, RecordingWriter
+from depthmocap.recordings.recording import Recording
+from depthmocap.recordings.recording_writer import RecordingWriter
 
 #: Each camera has its own trouble, and all lose frames, are late and drift.
 COMMON = {"loss": 0.05, "jitter_ms": 10.0}

@@ -19,8 +19,8 @@ from depthmocap.realtime import live_capture as live_module
 from depthmocap.realtime import live_command as command
 from depthmocap.realtime.live_command import LiveSettings, run_live
 from depthmocap.recordings.convert import ConvertSettings, convert
-from depthmocap.recordings.folder import RecordingWriter
 from depthmocap.recordings.open_recording import open_recording
+from depthmocap.recordings.recording_writer import RecordingWriter
 from depthmocap.smooth.filters import load_filter
 
 SETS = 30

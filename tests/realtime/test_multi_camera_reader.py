@@ -22,8 +22,8 @@ from depthmocap.realtime import record as record_module
 from depthmocap.realtime.gather import Gatherer
 from depthmocap.realtime.multi_camera_reader import ENDED, RUNNING, Readers
 from depthmocap.realtime.record import RecordSettings, record
-from depthmocap.recordings.folder import RecordingWriter
 from depthmocap.recordings.mcap_recording import McapRecording
+from depthmocap.recordings.recording_writer import RecordingWriter
 
 
 class Camera(DepthSource):

@@ -22,9 +22,10 @@ from depthmocap.realtime.record import RecordSettings, record
 from depthmocap.realtime.replay import ReplaySettings, play, replay
 from depthmocap.recordings.convert import ConvertSettings, InfoSettings, RecoverSettings, convert, info, recover
 from depthmocap.recordings.depth_codec import CODINGS, Coding
-from depthmocap.recordings.folder import Recording, RecordingWriter
 from depthmocap.recordings.mcap_recording import McapRecording
 from depthmocap.recordings.mcap_writer import Topics
+from depthmocap.recordings.recording import Recording
+from depthmocap.recordings.recording_writer import RecordingWriter
 
 START, PERIOD = 1_700_000_000_123_456_789, 33_333_333
 QUIET = Console(quiet=True)

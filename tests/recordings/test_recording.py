@@ -11,7 +11,8 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.cameras.health import MAX_REPEATS
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, look_at
-from depthmocap.recordings.folder import Recording, RecordingWriter
+from depthmocap.recordings.recording import Recording
+from depthmocap.recordings.recording_writer import RecordingWriter
 from depthmocap.recordings.timestamps import StampSet, fill_gaps, frame_period_ns, group_stamps
 
 PERIOD = 33_000_000

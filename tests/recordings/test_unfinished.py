@@ -23,7 +23,8 @@ from depthmocap.cli import main
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.recordings.convert import ConvertSettings, InfoSettings, RecoverSettings, convert, info, recover
-from depthmocap.recordings.folder import Recording, RecordingWriter
+from depthmocap.recordings.recording import Recording
+from depthmocap.recordings.recording_writer import RecordingWriter
 
 QUIET = Console(quiet=True)
 CAMERAS = tuple(DepthCamera(name, 24, 16, 20.0, 20.0, 12.0, 8.0) for name in "ab")

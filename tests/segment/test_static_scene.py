@@ -5,7 +5,8 @@ from depth_scene import make_camera, render, sense
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, FrameSource, View
 from depthmocap.geometry import Rig
-from depthmocap.recordings.folder import Recording, RecordingWriter
+from depthmocap.recordings.recording import Recording
+from depthmocap.recordings.recording_writer import RecordingWriter
 from depthmocap.segment.static_scene import PersonSegmenter
 
 PATH = [(np.sin(i / 2.1), 0.6 * np.sin(i / 1.3)) for i in range(20)]

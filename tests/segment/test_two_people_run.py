@@ -12,7 +12,7 @@ from depthmocap import RunSettings, run
 from depthmocap.exporting import read_csv
 from depthmocap.exporting.summary import read_summary
 from depthmocap.geometry import Rig
-from depthmocap.recordings.folder import RecordingWriter
+from depthmocap.recordings.recording_writer import RecordingWriter
 
 SETS, START_NS = 8, 10**9
 #: The second comes into view with the set of this number.

@@ -29,8 +29,8 @@ from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry import Rig, save_rig, transform_points, z_up_from
-from depthmocap.recordings.folder import Recording
 from depthmocap.recordings.open_recording import open_recording
+from depthmocap.recordings.recording import Recording
 from depthmocap.segment.static_scene import PersonSegmenter
 from depthmocap.text import cameras, joined
 

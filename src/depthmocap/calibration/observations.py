@@ -15,7 +15,7 @@ from depthmocap.classify.classifier import Classifier
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera
-from depthmocap.recordings.folder import Recording
+from depthmocap.recordings.recording import Recording
 from depthmocap.segment.static_scene import PersonSegmenter
 
 #: Somebody shows so much surface across the line of sight, or the view tells too little of them (m²).

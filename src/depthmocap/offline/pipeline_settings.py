@@ -12,8 +12,8 @@ from depthmocap.frames import FrameSource
 from depthmocap.geometry import check_placed, load_rig
 from depthmocap.offline.pipeline import Pipeline
 from depthmocap.pose.estimators import load_estimator
-from depthmocap.recordings.folder import Recording
 from depthmocap.recordings.open_recording import open_recording
+from depthmocap.recordings.recording import Recording
 from depthmocap.segment.people_segmenter import Mode, PeopleSegmenter
 from depthmocap.smooth.filters import AUTO, Bones, Smoothing, load_filter
 

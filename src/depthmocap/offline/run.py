@@ -30,7 +30,7 @@ from depthmocap.offline.pipeline import STAGES, Pipeline, Result
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline, open_source
 from depthmocap.offline.run_report import Pictures, write_run_report
 from depthmocap.pose.extrinsics_check import Agreement
-from depthmocap.recordings.folder import Recording
+from depthmocap.recordings.recording import Recording
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
 from depthmocap.segment.people_segmenter import Mode
 from depthmocap.text import cameras, joined

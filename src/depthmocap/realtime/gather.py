@@ -23,7 +23,7 @@ from depthmocap.realtime.multi_camera_reader import LOOK_S, Readers
 from depthmocap.realtime.problems import Problems
 from depthmocap.realtime.status import CameraStatus, camera_statuses
 from depthmocap.realtime.sync import SyncedSet, SyncSettings
-from depthmocap.recordings.folder import UnfitFrameError
+from depthmocap.recordings.recording_layout import UnfitFrameError
 from depthmocap.recordings.timestamps import frame_period_ns
 
 #: Frames that a camera may be ahead of the synchroniser.

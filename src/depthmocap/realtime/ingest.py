@@ -11,7 +11,7 @@ from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import DepthCamera
 from depthmocap.realtime.problems import Problems
 from depthmocap.realtime.sync import SyncedSet, Synchroniser, SyncSettings
-from depthmocap.recordings.folder import Recording
+from depthmocap.recordings.recording import Recording
 
 
 class Intake:

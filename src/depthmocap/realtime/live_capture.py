@@ -27,8 +27,8 @@ from depthmocap.realtime.gather import Gatherer
 from depthmocap.realtime.ingest import Intake, frame_set, recorded_frames
 from depthmocap.realtime.status import Books, CameraStatus, camera_statuses
 from depthmocap.realtime.sync import SyncedSet, SyncSettings
-from depthmocap.recordings.folder import Recording
 from depthmocap.recordings.open_recording import open_recording, packaged_recording
+from depthmocap.recordings.recording import Recording
 
 #: Making the pipeline is told of when it takes longer.
 SLOW_S = 2.0

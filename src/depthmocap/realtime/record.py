@@ -25,8 +25,8 @@ from depthmocap.realtime.mcap_recorder import McapRecorder, not_recorded
 from depthmocap.realtime.multi_camera_reader import ENDED, LOOK_S, OPENING, RUNNING, SILENT, Readers, SourceState
 from depthmocap.realtime.problems import Problems
 from depthmocap.recordings.depth_codec import Coding
-from depthmocap.recordings.folder import UnfitFrameError
 from depthmocap.recordings.mcap_writer import McapWriter, check_name
+from depthmocap.recordings.recording_layout import UnfitFrameError
 from depthmocap.text import joined
 
 

@@ -14,9 +14,9 @@ from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.core.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.recordings.convert import timeline
-from depthmocap.recordings.folder import Recording
 from depthmocap.recordings.mcap_writer import Topics, load_sdk
 from depthmocap.recordings.open_recording import open_recording
+from depthmocap.recordings.recording import Recording
 
 #: Rig and calibration are told this often, because viewers may come at any time (recording time).
 _DESCRIBE_NS = 1_000_000_000

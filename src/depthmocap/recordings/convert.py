@@ -1,4 +1,4 @@
-"""``depthmocap convert`` and ``depthmocap recover``: recordings from one form to another, and whole again."""
+"""``depthmocap convert``, ``recover`` and ``info``: copy recordings into other formats, repair them, describe them."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ from depthmocap.core.console import Terminal
 from depthmocap.core.interrupts import finishing
 from depthmocap.errors import InputError
 from depthmocap.recordings.depth_codec import Coding
-from depthmocap.recordings.folder import Recording, RecordingWriter
 from depthmocap.recordings.mcap_file import McapFile
 from depthmocap.recordings.mcap_messages import COMPRESSED_IMAGE, RAW_IMAGE
 from depthmocap.recordings.mcap_writer import McapSink, McapWriter, check_name
 from depthmocap.recordings.open_recording import open_recording
+from depthmocap.recordings.recording import Recording
+from depthmocap.recordings.recording_writer import RecordingWriter
 
-#: Names that every command takes for files of other makers, so that a folder of such a name could not be read back.
+#: Name endings of camera makers' files: every command takes such a name for a file, so no folder may have it.
 _FOREIGN = (".mkv", ".oni", ".bag")
 
 
@@ -45,16 +46,16 @@ class ConvertSettings:
 
 
 def timeline(recording: Recording) -> list[tuple[int, str]]:
-    """The frames of all cameras in order of time: timestamp (ns, the shared clock) and camera."""
+    """Timestamp (ns, the shared clock) and camera name of all frames, in order of time."""
     return sorted((stamp, name) for name in recording.rig.names for stamp in recording.stamps(name))
 
 
 def convert(settings: ConvertSettings, console: Console | None = None) -> dict[str, Any]:
-    """Convert, and tell how many frames were copied.
+    """Convert a recording; returns the numbers of frames copied, frames lost and true poses.
 
     Raises:
-        InputError: when the source is no recording, or the new one exists, cannot be written, or is named as a file of
-            another kind.
+        InputError: when the source is no recording, or when the new recording exists, cannot be written, or has the
+            name ending of another kind of file.
     """
     console = console or Terminal(stderr=True)
     if settings.out.suffix.lower() in _FOREIGN:
@@ -100,7 +101,7 @@ def convert(settings: ConvertSettings, console: Console | None = None) -> dict[s
 
 @contextlib.contextmanager
 def _whole_or_removed(new: McapWriter | McapSink) -> Iterator[None]:
-    """Close a new file; one that did not become whole is removed, as what it was made of is still there.
+    """Close a new file; remove it if it is incomplete, because its source still exists.
 
     Raises:
         InputError: when it cannot be written.
@@ -188,9 +189,9 @@ class InfoSettings:
 
 
 def recording_info(recording: Recording) -> dict[str, Any]:
-    """What ``depthmocap info`` prints. Lost frames are told by gaps in a camera's own times."""
+    """The summary that ``depthmocap info`` prints. Gaps in a camera's timestamps count as lost frames."""
     path = recording.path
-    files = [path] if path.is_file() else [each for each in path.rglob("*") if each.is_file()]
+    files = [path] if path.is_file() else [file for file in path.rglob("*") if file.is_file()]
     cameras = {}
     for camera in recording.rig.cameras:
         stamps = np.array(recording.stamps(camera.name), np.int64)
@@ -205,7 +206,7 @@ def recording_info(recording: Recording) -> dict[str, Any]:
             "clock": recording.device_time(camera.name, int(stamps[0]))[1] if len(stamps) else None,
             "background": recording.raw_background(camera.name) is not None,
         }
-    stored = sum(each.stat().st_size for each in files)
+    stored = sum(file.stat().st_size for file in files)
     raw = sum(2 * c["size"][0] * c["size"][1] * c["frames"] for c in cameras.values())
     first, last = timeline(recording)[0][0], timeline(recording)[-1][0]
     return {
@@ -226,16 +227,16 @@ def info(settings: InfoSettings, console: Console | None = None) -> dict[str, An
     """Print what is in a recording.
 
     Raises:
-        InputError: when it is none.
+        InputError: when the path is no recording.
     """
     from rich.table import Table
 
     console = console or Terminal()
-    found = recording_info(open_recording(settings.recording))
-    table = Table(title=found["recording"], title_justify="left")
+    summary = recording_info(open_recording(settings.recording))
+    table = Table(title=summary["recording"], title_justify="left")
     for column in ("camera", "size", "frames", "a second", "lost", "depth unit", "clock", "background"):
         table.add_column(column)
-    for name, camera in found["cameras"].items():
+    for name, camera in summary["cameras"].items():
         rate = camera["frames_per_second"]
         table.add_row(
             name, "×".join(map(str, camera["size"])), str(camera["frames"]), "" if rate is None else f"{rate:.2f}",
@@ -244,9 +245,9 @@ def info(settings: InfoSettings, console: Console | None = None) -> dict[str, An
         )  # fmt: skip
     console.print(table)
     console.print(
-        f"{found['sets']} sets in {found['seconds']:.1f} s, {found['megabytes']:.1f} MB, "
-        f"{found['compression']:.2f}:1, up is {found['up']}, {found['true_joints']} true poses"
+        f"{summary['sets']} sets in {summary['seconds']:.1f} s, {summary['megabytes']:.1f} MB, "
+        f"{summary['compression']:.2f}:1, up is {summary['up']}, {summary['true_joints']} true poses"
     )
-    for problem in found["problems"]:
+    for problem in summary["problems"]:
         console.print(f"• {problem}")
-    return found
+    return summary

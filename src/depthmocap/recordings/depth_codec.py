@@ -1,9 +1,9 @@
 """Lossless coding of depth pictures for recordings.
 
-``delta-zstd``, the default, was chosen by measurement (docs/results/speed.md): every pixel less its left neighbour,
-the difference folded so that small ones of either sign are small numbers, low and high bytes apart, then Zstandard. The
-high bytes are nearly all zero and the low ones hold the sensor's noise, which no coding can shrink. ``png`` and ``raw``
-are larger, but any viewer shows them.
+``delta-zstd`` is the default, by measurement (docs/results/speed.md). It subtracts from every pixel its left neighbour,
+maps the signed differences to unsigned numbers (zigzag), separates low and high bytes, and compresses them with
+Zstandard. The high bytes are nearly all zero; the low bytes hold the sensor's noise, which no coding can shrink.
+``png`` and ``raw`` are larger, but any viewer shows them.
 """
 
 from __future__ import annotations
@@ -24,14 +24,16 @@ from depthmocap.errors import InputError, missing_extra
 Coding = Literal["delta-zstd", "png", "raw"]
 CODINGS: tuple[Coding, ...] = get_args(Coding)
 
+#: Width and height at the beginning of a delta-zstd picture.
 _SIZE = struct.Struct("<II")
+#: Zstandard's fastest standard level: higher ones gain little on noise.
 _ZSTD_LEVEL = 1
 _PNG_OPTIONS = [
     cv2.IMWRITE_PNG_COMPRESSION, 1,
     cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
     cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP,
 ]  # fmt: skip
-_local = threading.local()  # the library's objects serve one thread at a time
+_local = threading.local()  # one thread at a time may use one of the library's objects
 
 
 @functools.cache
@@ -66,7 +68,10 @@ def encode_depth(raw: UInt16[ndarray, "h w"], coding: Coding = "delta-zstd") -> 
 
 
 def decode_depth(data: bytes, coding: str, size: tuple[int, int] | None = None) -> UInt16[ndarray, "h w"]:
-    """The picture. ``size`` is (width, height), which ``raw`` needs; other pictures are held to it where it is given.
+    """Decode a picture.
+
+    Args:
+        size: (width, height). ``raw`` needs it; pictures of other codings must have it if it is given.
 
     Raises:
         InputError: when the data are damaged, of another size, or of an unknown coding.
@@ -89,9 +94,11 @@ def decode_depth(data: bytes, coding: str, size: tuple[int, int] | None = None) 
     return picture
 
 
-def _check_size(found: tuple[int, int], wanted: tuple[int, int] | None) -> None:
-    if wanted is not None and found != wanted:
-        raise InputError(f"the picture is {found[0]}×{found[1]}, but its camera {wanted[0]}×{wanted[1]}")
+def _check_size(actual_size: tuple[int, int], camera_size: tuple[int, int] | None) -> None:
+    if camera_size is not None and actual_size != camera_size:
+        raise InputError(
+            f"the picture is {actual_size[0]}×{actual_size[1]}, but its camera {camera_size[0]}×{camera_size[1]}"
+        )
 
 
 def _decode_delta(data: bytes, size: tuple[int, int] | None) -> UInt16[ndarray, "h w"]:
@@ -103,7 +110,7 @@ def _decode_delta(data: bytes, size: tuple[int, int] | None) -> UInt16[ndarray, 
     if decompressor is None:
         decompressor = _local.decompressor = zstandard.ZstdDecompressor()
     try:
-        # Without a stated size the library would make room for whatever the data claim.
+        # The library allocates as much memory as the data claim, so their claim is checked first.
         if zstandard.frame_content_size(data[_SIZE.size :]) != 2 * width * height:
             raise InputError("the picture is damaged: its data are of another size than it says")
         planes = np.frombuffer(decompressor.decompress(data[_SIZE.size :]), np.uint8).reshape(2, height, width)

@@ -1,7 +1,7 @@
 """MCAP files, read record by record from a memory map (specification: mcap.dev/spec).
 
-The summary at the file's end is not needed: a file that was cut off at any byte gives every record before the cut,
-those inside an unfinished chunk included. Chunks without compression are read where they lie.
+The reader does not need the summary at the file's end: from a file that was cut off at any byte it reads every record
+before the cut, also in an unfinished chunk. Chunks without compression are read in place.
 """
 
 from __future__ import annotations
@@ -16,13 +16,19 @@ from pathlib import Path
 from depthmocap.core.reading.input_files import open_file
 from depthmocap.errors import InputError, missing_extra
 
-#: Bytes that a chunk may unpack to.
+#: Largest size (bytes) of an unpacked chunk, against damaged files that claim more.
 LARGEST_CHUNK = 1 << 28
+#: First and last bytes of every file.
 MAGIC = b"\x89MCAP0\r\n"
+#: Head of a record: opcode and length.
 _HEAD = struct.Struct("<BQ")
+#: Head of a chunk: first and last log time, unpacked size and checksum.
 _CHUNK_HEAD = struct.Struct("<QQQI")
+#: Head of a message: channel, sequence number, log time and publish time.
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
+#: Opcodes of records.
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0C, 0x0F
+#: All opcodes of the specification.
 _KNOWN = frozenset(range(0x01, 0x10))
 
 
@@ -32,7 +38,7 @@ class _DamageError(InputError):
 
 @dataclasses.dataclass(frozen=True)
 class Channel:
-    """A channel, with its schema."""
+    """A channel and its schema."""
 
     id: int
     topic: str
@@ -45,7 +51,7 @@ class Channel:
 
 @dataclasses.dataclass(frozen=True)
 class Message:
-    """Where a message lies: its payload is ``data[start:end]`` of the chunk at ``chunk``, or of the file for -1."""
+    """The place of a message: its payload is ``data[start:end]`` of the chunk at byte ``chunk``; -1 means the file."""
 
     channel: int
     log_time_ns: int
@@ -55,19 +61,19 @@ class Message:
 
 
 class McapFile:
-    """What a file holds, found in one pass; payloads are read as they are asked for. A context manager.
+    """The index of a file, made in one pass; payloads are read on request. A context manager.
 
     Attributes:
-        channels: by id.
-        metadata: of the metadata records, by name.
-        messages: in the order of the file.
-        problems: what cannot be read besides messages, one line each.
+        channels: channels by id.
+        metadata: entries of the metadata records, by name.
+        messages: messages in the order of the file.
+        problems: other records that cannot be read, one line each.
         complete: whether the file was finished; otherwise it was cut off, or is being written.
         sound_end: the byte after the last whole record.
     """
 
     def __init__(self, path: Path) -> None:
-        """Raises InputError when it cannot be read, or is not MCAP."""
+        """Raises InputError when the file cannot be read, or is not MCAP."""
         self.path = path
         with open_file(path) as file:
             try:
@@ -104,18 +110,18 @@ class McapFile:
         self._map.close()
 
     def head(self, message: Message, length: int) -> bytes:
-        """The message's first bytes, not checked."""
+        """The message's first bytes, without a check of their checksum."""
         return self._bytes(message, message.start, min(message.end, message.start + length))
 
     def payload(self, message: Message) -> bytes:
         """The message's bytes.
 
         Raises:
-            InputError: when its chunk does not have the checksum that was written.
+            InputError: when the checksum of its chunk is wrong.
         """
         if message.chunk >= 0 and message.chunk not in self._checked:
             compression, start, end, _, crc = self._chunk(message.chunk)
-            # Of a chunk that was cut off only the length of its messages can be checked; unpacking checks by itself.
+            # A chunk that was cut off has no checksum to compare; compressed chunks are checked when they are unpacked.
             if not compression and crc and end <= len(self._map):
                 if zlib.crc32(memoryview(self._map)[start:end]) != crc:
                     raise InputError(f"{self.path}: the data at byte {start} are damaged (checksum)")
@@ -128,25 +134,25 @@ class McapFile:
         compression, first, *_ = self._chunk(message.chunk)
         return self._unpack(message.chunk)[start:end] if compression else self._map[first + start : first + end]
 
-    def _chunk(self, at: int) -> tuple[str, int, int, int, int]:
+    def _chunk(self, offset: int) -> tuple[str, int, int, int, int]:
         """Compression, first and last byte of the records, unpacked size and checksum of a chunk."""
-        _, _, size, crc = _CHUNK_HEAD.unpack_from(self._map, at)
-        at_name = at + _CHUNK_HEAD.size
+        _, _, size, crc = _CHUNK_HEAD.unpack_from(self._map, offset)
+        at_name = offset + _CHUNK_HEAD.size
         (length,) = struct.unpack_from("<I", self._map, at_name)
         compression = bytes(self._map[at_name + 4 : at_name + 4 + min(length, 16)]).decode("utf-8", "replace")
         at_size = at_name + 4 + length
         (stored,) = struct.unpack_from("<Q", self._map, at_size)
         return compression, at_size + 8, at_size + 8 + stored, size, crc
 
-    def _unpack(self, at: int) -> bytes:
-        if self._unpacked[0] == at:
+    def _unpack(self, offset: int) -> bytes:
+        if self._unpacked[0] == offset:
             return self._unpacked[1]
-        compression, start, end, size, crc = self._chunk(at)
+        compression, start, end, size, crc = self._chunk(offset)
         packed, damaged = self._map[start:end], f"{self.path}: the chunk at byte {start} is damaged"
         if size > LARGEST_CHUNK:
             raise _DamageError(f"{damaged}: it says that it unpacks to {size:,} bytes")
         try:
-            # No more is unpacked than the chunk says, and a byte that tells that there would be more.
+            # At most the size that the chunk states is unpacked, plus one byte that shows whether there is more.
             if compression == "zstd":
                 import zstandard
 
@@ -168,19 +174,19 @@ class McapFile:
             raise _DamageError(f"{damaged}: it does not unpack to the {size:,} bytes that it says")
         if crc and zlib.crc32(records) != crc:
             raise _DamageError(f"{damaged} (checksum)")
-        self._unpacked = (at, records)
+        self._unpacked = (offset, records)
         return records
 
     def _scan(self) -> None:
         """Find all records of the data section."""
-        at, size = len(MAGIC), len(self._map)
-        while at + _HEAD.size <= size:
-            opcode, length = _HEAD.unpack_from(self._map, at)
-            start, end = at + _HEAD.size, at + _HEAD.size + length
+        offset, size = len(MAGIC), len(self._map)
+        while offset + _HEAD.size <= size:
+            opcode, length = _HEAD.unpack_from(self._map, offset)
+            start, end = offset + _HEAD.size, offset + _HEAD.size + length
             if opcode not in _KNOWN:  # not a record: a hole, as a crash of the whole machine can leave
                 return
             if opcode == _CHUNK:
-                # One of which too little was written, or that cannot be unpacked, costs only its own messages.
+                # A chunk that is incomplete or cannot be unpacked loses only its own messages.
                 try:
                     self._scan_chunk(start, min(end, size))
                 except _DamageError as error:
@@ -193,32 +199,32 @@ class McapFile:
                 return
             elif opcode == _DATA_END:
                 self.complete = bytes(self._map[-len(MAGIC) :]) == MAGIC
-                self.sound_end = at
+                self.sound_end = offset
                 return
             elif opcode == _MESSAGE:
                 self._message(self._map, start, end, -1)
             else:
                 self._definition(opcode, bytes(self._map[start:end]))
-            at = self.sound_end = end
+            offset = self.sound_end = end
 
-    def _scan_chunk(self, at: int, end: int) -> None:
-        """Find the records in a chunk; of an uncompressed one that is cut, those before the cut."""
-        compression, first, last, *_ = self._chunk(at)
+    def _scan_chunk(self, chunk: int, end: int) -> None:
+        """Find the records in a chunk; in an uncompressed chunk that was cut off, those before the cut."""
+        compression, first, last, *_ = self._chunk(chunk)
         if compression and last > end:
             return
-        records = self._unpack(at) if compression else self._map
-        offset, stop = (0, len(records)) if compression else (first, min(last, end))
+        records = self._unpack(chunk) if compression else self._map
+        offset, end = (0, len(records)) if compression else (first, min(last, end))
         base = 0 if compression else first
-        while offset + _HEAD.size <= stop:
+        while offset + _HEAD.size <= end:
             opcode, length = _HEAD.unpack_from(records, offset)
-            begin, until = offset + _HEAD.size, offset + _HEAD.size + length
-            if until > stop or opcode not in _KNOWN:
+            start, stop = offset + _HEAD.size, offset + _HEAD.size + length
+            if stop > end or opcode not in _KNOWN:
                 return
             if opcode == _MESSAGE:
-                self._message(records, begin, until, at, base)
+                self._message(records, start, stop, chunk, base)
             else:
-                self._definition(opcode, bytes(records[begin:until]))
-            offset = until
+                self._definition(opcode, bytes(records[start:stop]))
+            offset = stop
 
     def _message(self, records: bytes | mmap.mmap, start: int, end: int, chunk: int, base: int = 0) -> None:
         if end - start < _MESSAGE_HEAD.size:
@@ -246,7 +252,7 @@ class McapFile:
 
 
 class _Fields:
-    """The fields of a record, one after the other."""
+    """Reads the fields of a record, one after the other."""
 
     def __init__(self, content: bytes) -> None:
         self._content, self._at = content, 0
@@ -267,11 +273,11 @@ class _Fields:
         return self.blob().decode("utf-8", "replace")
 
     def texts(self) -> dict[str, str]:
-        fields, found = _Fields(self.blob()), {}
+        fields, entries = _Fields(self.blob()), {}
         while fields._at < len(fields._content):
             key = fields.text()
-            found[key] = fields.text()
-        return found
+            entries[key] = fields.text()
+        return entries
 
 
 def iterate_topics(file: McapFile) -> Iterator[tuple[Channel, list[Message]]]:

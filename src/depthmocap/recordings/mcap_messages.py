@@ -1,6 +1,6 @@
-"""Foxglove's message types (docs.foxglove.dev/docs/sdk/schemas), as far as recordings need them, from protobuf's bytes.
+"""Reads the four Foxglove message types that recordings use (docs.foxglove.dev/docs/sdk/schemas) from protobuf bytes.
 
-Written files come from the SDK; reading these four types takes less code than a protobuf runtime takes to install.
+The SDK only writes them. Reading four types needs little code, so no protobuf runtime has to be installed.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ CALIBRATION, TRANSFORM = "foxglove.CameraCalibration", "foxglove.FrameTransform"
 RAW_IMAGE, COMPRESSED_IMAGE = "foxglove.RawImage", "foxglove.CompressedImage"
 
 
-def _varint(data: bytes, at: int) -> tuple[int, int]:
+def _varint(data: bytes, offset: int) -> tuple[int, int]:
     value = shift = 0
     while True:
-        byte = data[at]
+        byte = data[offset]
         value |= (byte & 0x7F) << shift
-        at += 1
+        offset += 1
         if byte < 0x80:
-            return value, at
+            return value, offset
         shift += 7
         if shift > 63:
             raise ValueError("a number is too long")
@@ -38,16 +38,16 @@ def read_fields(data: bytes) -> dict[int, list[int | bytes]]:
         InputError: when the bytes are no protobuf message.
     """
     fields: dict[int, list[int | bytes]] = {}
-    at = 0
+    offset = 0
     try:
-        while at < len(data):
-            key, at = _varint(data, at)
+        while offset < len(data):
+            key, offset = _varint(data, offset)
             kind = key & 7
             if kind == 0:
-                value, at = _varint(data, at)
+                value, offset = _varint(data, offset)
             else:
-                length, at = _varint(data, at) if kind == 2 else ({1: 8, 5: 4}[kind], at)
-                value, at = data[at : at + length], at + length
+                length, offset = _varint(data, offset) if kind == 2 else ({1: 8, 5: 4}[kind], offset)
+                value, offset = data[offset : offset + length], offset + length
                 if len(value) != length:
                     raise ValueError("a field ends beyond its message")
             fields.setdefault(key >> 3, []).append(value)
@@ -88,7 +88,7 @@ def _time_ns(fields: dict[int, list[int | bytes]], number: int) -> int:
 
 @dataclasses.dataclass(frozen=True)
 class Image:
-    """A RawImage or a CompressedImage. ``size`` is (width, height) where the message tells it."""
+    """A RawImage or a CompressedImage. ``size`` is (width, height), or None if the message does not tell it."""
 
     timestamp_ns: int
     frame_id: str
@@ -148,12 +148,12 @@ class Transform:
 
 
 def read_transform(data: bytes) -> Transform:
-    """Raises InputError when the message is damaged. Numbers that are zero are not in the bytes."""
+    """Raises InputError when the message is damaged. Protobuf leaves out numbers that are zero."""
     fields = read_fields(data)
 
     def vector(number: int, size: int) -> Float[ndarray, " n"]:
-        own = read_fields(_blob(fields, number))
-        values = [own.get(i + 1, [bytes(8)])[-1] for i in range(size)]
+        vector_fields = read_fields(_blob(fields, number))
+        values = [vector_fields.get(i + 1, [bytes(8)])[-1] for i in range(size)]
         return np.array([struct.unpack("<d", v)[0] if isinstance(v, bytes) and len(v) == 8 else 0.0 for v in values])
 
     return Transform(_text(fields, 2), _text(fields, 3), vector(4, 3), vector(5, 4))

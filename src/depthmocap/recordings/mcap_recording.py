@@ -1,7 +1,7 @@
-"""A recording in an MCAP file, read like a recording folder: ours, or others' with the same message types of Foxglove.
+"""Reads a recording in an MCAP file like a recording folder: ours, and others with the same Foxglove message types.
 
-A camera is a CameraCalibration; its frames are the 16-bit images with the same ``frame_id``; where it stands follows
-from the FrameTransforms. Files without our metadata are taken to be in millimetres and Z up.
+A camera is a CameraCalibration. Its frames are the 16-bit images with the same ``frame_id``, and its pose follows from
+the FrameTransforms. Files without our metadata are assumed to be in millimetres with Z up.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float, Int, UInt16
+from jaxtyping import Float, UInt16
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
@@ -22,7 +22,6 @@ from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.geometry.depth_camera import check_camera, check_up
 from depthmocap.recordings.depth_codec import decode_depth
-from depthmocap.recordings.folder import Recording
 from depthmocap.recordings.mcap_file import Channel, McapFile, Message, iterate_topics
 from depthmocap.recordings.mcap_messages import (
     CALIBRATION,
@@ -38,18 +37,20 @@ from depthmocap.recordings.mcap_messages import (
     read_transform,
 )
 from depthmocap.recordings.mcap_writer import METADATA, SHARED_CLOCK, TRUTH_TOPIC, VERSION
+from depthmocap.recordings.recording import Recording
+from depthmocap.recordings.true_joints import TrueJoints
 
 _Read = TypeVar("_Read")
 
-#: By how much the length of a quaternion may differ from 1.
-_QUATERNION_OFF = 0.01
-#: Enough of an image's message to hold its time.
+#: How much the length of a quaternion may differ from 1.
+_QUATERNION_TOLERANCE = 0.01
+#: The first bytes of an image message, enough to hold its time.
 _HEAD_BYTES = 32
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Images:
-    """The images of one camera: their messages by the stamp they are known by, and their own times and clock."""
+    """The images of one camera: their messages and their device times (ns) by timestamp, and the device's clock."""
 
     channel: Channel
     messages: dict[int, Message]
@@ -60,8 +61,8 @@ class _Images:
 class McapRecording(Recording):
     """A recording in an MCAP file, as a sequence of frame sets.
 
-    Where all cameras share a clock, sets form by the frames' own times; where they do not, by the times at which the
-    frames arrived at the host (the log times). A file that was cut off is read up to the cut, which is in ``problems``.
+    Sets are formed by the frames' own times if all cameras share a clock, and otherwise by the times at which frames
+    arrived at the host (the log times). A file that was cut off is read up to the cut, and ``problems`` reports it.
 
     Attributes:
         complete: whether the file was finished.
@@ -74,10 +75,11 @@ class McapRecording(Recording):
             self._note(problem)
         if not self.complete:
             self._note(f"{self.path} was cut off; what is in it is read (depthmocap recover makes a whole file of it)")
-        own = self._file.metadata.get(METADATA, {})
-        if own and own.get("version") != VERSION:
+        metadata = self._file.metadata.get(METADATA, {})
+        if metadata and metadata.get("version") != VERSION:
             raise InputError(
-                f"{self.path} is a recording of version {own.get('version')}; this depthmocap reads version {VERSION}"
+                f"{self.path} is a recording of version {metadata.get('version')}; "
+                f"this depthmocap reads version {VERSION}"
             )
         calibrations: dict[str, Calibration] = {}
         transforms: dict[str, tuple[Transform, Channel]] = {}
@@ -88,7 +90,7 @@ class McapRecording(Recording):
             if not messages:
                 continue
             if channel.schema_name == CALIBRATION:
-                for calibration in self._all(messages, read_calibration):  # the last that can be read counts
+                for calibration in self._all(messages, read_calibration):  # the last readable one counts
                     calibrations[calibration.frame_id] = calibration
             elif channel.schema_name == TRANSFORM:
                 for transform in self._all(messages, read_transform):  # one channel may hold many cameras' transforms
@@ -100,12 +102,12 @@ class McapRecording(Recording):
         if not calibrations:
             needed = f"{CALIBRATION}: without it depth is no use; record with depthmocap"
             raise InputError(f"{self.path} has no {needed}{self._why()}")
-        names = safe_names(calibrations)  # others' frames are called as they like, such as /left/depth
+        names = safe_names(calibrations)  # other writers use names such as /left/depth
         for frame, name in names.items():
             if name != frame:
                 self._note(f"{self.path}: camera {frame!r} is called {name!r} here, as files and folders can be")
         images = self._by_camera(depth, calibrations)
-        self._images = {names[frame]: own for frame, own in images.items()}
+        self._images = {names[frame]: camera_images for frame, camera_images in images.items()}
         self._empty: dict[str, tuple[Channel, Message]] = {}
         for channel, messages in backgrounds:
             try:
@@ -121,10 +123,10 @@ class McapRecording(Recording):
             called = ", ".join(names.values())
             raise InputError(f"{self.path} has no depth frame of its cameras ({called}){self._why()}")
         stamps = {name: list(self._images[name].messages) if name in self._images else [] for name in names.values()}
-        return Rig(cameras, check_up(own.get("up", "z"), str(self.path))), stamps
+        return Rig(cameras, check_up(metadata.get("up", "z"), str(self.path))), stamps
 
     def _check_first(self, name: str, stamps: list[int]) -> None:
-        """A file is made by one writer: where the first frame alone is damaged, it is a lost one."""
+        """Check the first readable frame. All frames have one writer, so a damaged first frame is only a lost one."""
         errors: list[InputError] = []
         for stamp in stamps[:3]:
             try:
@@ -137,18 +139,18 @@ class McapRecording(Recording):
         raise errors[0]
 
     def _all(self, messages: list[Message], read: Callable[[bytes], _Read]) -> Iterator[_Read]:
-        """What is in those messages that are not damaged."""
+        """The contents of the undamaged messages."""
         for message in messages:
             try:
-                found = read(self._file.payload(message))
+                content = read(self._file.payload(message))
             except InputError as error:
                 where = f"{self.path}: "
                 self._note(f"{where}{str(error).removeprefix(where)}")
                 continue
-            yield found
+            yield content
 
     def _why(self) -> str:
-        """The first thing that was wrong so far, for a message."""
+        """The first problem so far, for an error message; empty if there was none."""
         return next((f"; {problem.removeprefix(f'{self.path}: ')}" for problem in self._problems), "")
 
     def close(self) -> None:
@@ -181,7 +183,7 @@ class McapRecording(Recording):
             raise InputError(f"{self._where(name, what)}: {error}") from None
 
     def _first(self, channel: Channel, messages: list[Message]) -> Image:
-        """The first picture that is not damaged."""
+        """The first undamaged picture."""
         for message in messages[:-1]:
             try:
                 return read_image(self._file.payload(message), channel.schema_name)
@@ -192,9 +194,9 @@ class McapRecording(Recording):
     def _by_camera(
         self, depth: list[tuple[Channel, list[Message]]], calibrations: dict[str, Calibration]
     ) -> dict[str, _Images]:
-        """The depth images of each calibrated camera, by the stamps that sets are formed by."""
+        """The depth images of each calibrated camera, by the timestamps from which sets are formed."""
         clocks = {channel.metadata.get("clock", SHARED_CLOCK) for channel, _ in depth}
-        found: dict[str, _Images] = {}
+        by_camera: dict[str, _Images] = {}
         for channel, messages in depth:
             try:
                 image = self._first(channel, messages)
@@ -205,7 +207,7 @@ class McapRecording(Recording):
                 continue
             if channel.schema_name == COMPRESSED_IMAGE and not channel.metadata.get("kind") and image.format != "png":
                 continue
-            if image.frame_id not in calibrations or image.frame_id in found:
+            if image.frame_id not in calibrations or image.frame_id in by_camera:
                 reason = "has no calibration" if image.frame_id not in calibrations else "has another depth topic"
                 self._note(f"{self.path}: {channel.topic} is not read: its frame {image.frame_id!r} {reason}")
                 continue
@@ -220,11 +222,11 @@ class McapRecording(Recording):
                     continue
                 by_stamp[stamps[i]], times_ns[stamps[i]] = messages[i], times[i]
             clock = channel.metadata.get("clock", SHARED_CLOCK)
-            found[image.frame_id] = _Images(channel, by_stamp, times_ns, clock)
-        return found
+            by_camera[image.frame_id] = _Images(channel, by_stamp, times_ns, clock)
+        return by_camera
 
     def _timed(self, name: str, messages: list[Message]) -> tuple[list[Message], list[int]]:
-        """The images whose times can be told, and these (ns)."""
+        """The images that have a possible time, and these times (ns)."""
         times = []
         for message in messages:
             try:
@@ -245,37 +247,37 @@ class McapRecording(Recording):
                 f"{calibration.distortion.size} numbers: expected plumb_bob with 5"
             )
         where, matrix = f"{self.path}: camera {name!r}", calibration.matrix
-        told = images.channel.metadata.get("depth_unit_m", "0.001") if images else "0.001"
+        depth_unit = images.channel.metadata.get("depth_unit_m", "0.001") if images else "0.001"
         k1, k2, p1, p2, k3 = calibration.distortion.tolist() or [0.0] * 5
         camera = DepthCamera(
             name, calibration.width, calibration.height, float(matrix[0, 0]), float(matrix[1, 1]),
             float(matrix[0, 2]), float(matrix[1, 2]), pose, (k1, k2, p1, p2, k3),
-            number_of_text(told, f"{where}: depth_unit_m"),
+            number_of_text(depth_unit, f"{where}: depth_unit_m"),
         )  # fmt: skip
         check_camera(camera, where)
         return camera
 
     def _pose(self, name: str, transforms: dict[str, tuple[Transform, Channel]]) -> Float[ndarray, "4 4"]:
-        """``world_from_camera``: exact where our metadata have it, otherwise along the transforms up to the root."""
-        pose, frame, seen = None, name, set[str]()
-        while frame in transforms and frame not in seen:
-            seen.add(frame)
+        """``world_from_camera``: from our exact metadata, or else from the chain of transforms to the root."""
+        pose, frame, visited = None, name, set[str]()
+        while frame in transforms and frame not in visited:
+            visited.add(frame)
             transform, channel = transforms[frame]
             step, where = np.eye(4), f"{self.path}: the transform of {frame!r}"
             if exact := channel.metadata.get("world_from_camera"):
                 step = array(parse_json(exact, f"{where}: world_from_camera"), (4, 4), f"{where}: world_from_camera")
             else:
-                if np.any(transform.rotation):  # none is told where all is 0
-                    if not abs(np.linalg.norm(transform.rotation) - 1) < _QUATERNION_OFF:
-                        numbers = ", ".join(f"{each:g}" for each in transform.rotation)
+                if np.any(transform.rotation):  # all zeros mean no rotation
+                    if not abs(np.linalg.norm(transform.rotation) - 1) < _QUATERNION_TOLERANCE:
+                        numbers = ", ".join(f"{number:g}" for number in transform.rotation)
                         raise InputError(f"{where} has the quaternion ({numbers}): its length must be 1")
                     step[:3, :3] = Rotation.from_quat(transform.rotation).as_matrix()
                 step[:3, 3] = transform.translation
             pose, frame = step if pose is None else step @ pose, transform.parent
         return np.eye(4) if pose is None else pose
 
-    def _load_truth(self) -> tuple[Int[ndarray, " rows"], Float[ndarray, "rows 18 3"], bool] | None:
-        """See :class:`Recording`; those that are damaged are left out."""
+    def _load_truth(self) -> TrueJoints | None:
+        """The true joints as they were recorded, without damaged messages."""
         rows: list[tuple[int, Float[ndarray, "18 3"]]] = []
         for message in self._truth_messages:
             where = f"{self.path}: the true joints at {message.log_time_ns}"
@@ -287,7 +289,8 @@ class McapRecording(Recording):
             return None
         rows.sort(key=lambda row: row[0])
         # Files made of a truth.csv that counted from the first frame do so too.
-        return np.array([stamp for stamp, _ in rows], np.int64), np.stack([joints for _, joints in rows]), False
+        stamps_ns = np.array([stamp for stamp, _ in rows], np.int64)
+        return TrueJoints(stamps_ns, np.stack([joints for _, joints in rows]), on_clock=False)
 
 
 def _true_joints(document: Any, where: str) -> tuple[int, Float[ndarray, "18 3"]]:

@@ -1,16 +1,16 @@
 """Writes recordings as MCAP with Foxglove's message types, through Foxglove's SDK.
 
     /<camera>/calibration   foxglove.CameraCalibration     intrinsics and distortion
-    /<camera>/transform     foxglove.FrameTransform        where it stands in "world"
+    /<camera>/transform     foxglove.FrameTransform        its pose in "world"
     /<camera>/depth         foxglove.CompressedImage, or foxglove.RawImage with the coding "raw"
     /<camera>/background    the same: the empty scene, if known
     /truth                  JSON: the true joints, if known
 
-What these types cannot tell is metadata: of the file, the world's up axis; of a depth channel, the camera's clock, the
-coding and the length of a depth unit; of a transform channel, the matrix to the last digit.
+Metadata hold what these types cannot: the file's metadata the world's up axis; a depth channel's the camera's clock,
+the coding and the length of a depth unit; a transform channel's the exact matrix.
 
-Every frame is a chunk of its own that is handed to the system at once, in one piece: whatever happens to this process
-afterwards, the frame is in the file.
+Every frame is a chunk of its own and is handed to the system at once, in one piece. So the frame is in the file,
+whatever happens to this process afterwards.
 """
 
 from __future__ import annotations
@@ -36,14 +36,21 @@ from depthmocap.core.interrupts import finishing
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.recordings.depth_codec import CODINGS, Coding, encode_depth
-from depthmocap.recordings.folder import UnfitFrameError, check_frame
+from depthmocap.recordings.recording_layout import UnfitFrameError, check_frame
 
-METADATA, VERSION = "depthmocap", "1"
-#: The clock of cameras whose timestamps can be compared as they are.
+#: Name of our metadata record in the file.
+METADATA = "depthmocap"
+#: Version of the file's contents.
+VERSION = "1"
+#: Clock name of cameras whose timestamps can be compared directly.
 SHARED_CLOCK = "recording"
-TRUTH_TOPIC, WORLD = "/truth", "world"
-#: Foxglove's times have 32 bits of seconds.
+#: Topic of the true joints.
+TRUTH_TOPIC = "/truth"
+#: Name of the world's frame.
+WORLD = "world"
+#: End of the possible times (ns): Foxglove's times have 32 bits of seconds.
 _LATEST_NS = 2**32 * 10**9
+#: JSON schema of the true joints.
 TRUTH_SCHEMA = {
     "type": "object",
     "title": "depthmocap.TrueJoints",
@@ -70,15 +77,15 @@ def load_sdk() -> Any:
 
 
 def check_name(what: str, path: Path) -> None:
-    """Raise InputError unless the path ends in .mcap, by which every command knows a recording that is a file."""
+    """Raise InputError unless the path ends in .mcap, by which every command recognises an MCAP recording."""
     if path.suffix.lower() != ".mcap":
         raise InputError(f"{what} must end in .mcap, got {path}")
 
 
 class _SystemFile:
-    """What the SDK writes to: no buffers, and nothing after the first fault, so that the file ends with a whole record.
+    """The unbuffered file that the SDK writes to. It writes nothing after an error, so it ends with a whole record.
 
-    Faults are kept in ``error`` instead of raised, because the SDK would only log them.
+    It keeps the error in ``error`` instead of raising it, because the SDK would only log it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -95,16 +102,16 @@ class _SystemFile:
                 self.size += len(data)
             except OSError as error:
                 self.error = error
-                # The part of a record that found room is taken back.
+                # Removes the written part of an incomplete record.
                 os.ftruncate(self._file.fileno(), self.size)
         return len(data)
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        """The SDK only asks where it is."""
+        """Return the position; the SDK never moves it."""
         return self.size
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """Do nothing: the file has no buffer."""
 
     def close(self) -> None:
         self._file.close()
@@ -135,25 +142,25 @@ class McapSink:
         self.check()
 
     def channel(self, topic: str, encoding: str, metadata: Mapping[str, str], schema: Any | None) -> Any:
-        """A channel of any kind; the SDK's own class takes one without a schema for JSON only, and makes one up."""
+        """A channel of any kind. The SDK's own class allows no schema for JSON only, and then invents one."""
         return self.context._create_channel(topic, message_encoding=encoding, schema=schema, metadata=dict(metadata))
 
     def flush(self) -> None:
-        """Hand everything over to the system.
+        """Hand all data over to the system.
 
         Raises:
-            InputError: when it could not be written; what was flushed before is in the file.
+            InputError: when they could not be written; the data of earlier flushes are in the file.
         """
         self._writer.flush()
         self.check()
 
     @property
     def fault(self) -> OSError | None:
-        """Why nothing can be written any more."""
+        """The error after which nothing is written any more; None if there was none."""
         return self._file.error
 
     def check(self) -> None:
-        """Raises InputError once something could not be written."""
+        """Raise InputError if something could not be written."""
         if self._file.error is not None:
             raise InputError(
                 f"{self.path} cannot be written any further ({self._file.error.strerror}): "
@@ -169,18 +176,18 @@ class McapSink:
 
 
 class Topics:
-    """Foxglove's messages about a rig: what both recordings and live viewers are told."""
+    """Logs a rig, its frames and the true joints as Foxglove messages, for recordings and live viewers."""
 
     def __init__(self, sdk: Any, context: Any, rig: Rig, coding: Coding) -> None:
         self.rig = rig
         self._coding: Coding = coding
         self._sdk, self._context = sdk, context
         self._depth: dict[str, Any] = {}
-        self._places = {camera.name: self._place(camera) for camera in rig.cameras}
+        self._channels_by_camera = {camera.name: self._make_channels(camera) for camera in rig.cameras}
         self._truth = None
 
-    def _place(self, camera: DepthCamera) -> tuple[Any, Any]:
-        """Channels of a camera's calibration and of where it stands."""
+    def _make_channels(self, camera: DepthCamera) -> tuple[Any, Any]:
+        """Channels of a camera's calibration and of its pose."""
         channels, metadata = self._sdk.channels, {"world_from_camera": json.dumps(camera.world_from_camera.tolist())}
         return (
             channels.CameraCalibrationChannel(f"/{camera.name}/calibration", context=self._context),
@@ -188,9 +195,9 @@ class Topics:
         )
 
     def add(self, camera: DepthCamera) -> None:
-        """One more camera, which ``describe`` tells of from now on."""
+        """Add a camera; ``describe`` logs it from now on."""
         self.rig = Rig((*self.rig.cameras, camera), self.rig.up)
-        self._places[camera.name] = self._place(camera)
+        self._channels_by_camera[camera.name] = self._make_channels(camera)
 
     def _images(self, camera: DepthCamera, kind: str, clock: str) -> Any:
         channels = self._sdk.channels
@@ -199,10 +206,10 @@ class Topics:
         return channel(f"/{camera.name}/{kind}", metadata=metadata, context=self._context)
 
     def time(self, timestamp_ns: int) -> Any:
-        """Foxglove's form of a time.
+        """A time in Foxglove's form.
 
         Raises:
-            UnfitFrameError: when it does not fit.
+            UnfitFrameError: when it is out of the possible range.
         """
         if not 0 <= timestamp_ns < _LATEST_NS:
             raise UnfitFrameError(
@@ -211,42 +218,44 @@ class Topics:
         return self._sdk.messages.Timestamp(*divmod(timestamp_ns, 10**9))
 
     def describe(self, timestamp_ns: int) -> None:
-        """Calibration and place of every camera."""
-        messages, at = self._sdk.messages, self.time(timestamp_ns)
+        """Log the calibration and the pose of every camera."""
+        messages, timestamp = self._sdk.messages, self.time(timestamp_ns)
         for camera in self.rig.cameras:
-            calibrations, transforms = self._places[camera.name]
-            calibrations.log(_calibration(messages, camera, at), log_time=timestamp_ns)
+            calibrations, transforms = self._channels_by_camera[camera.name]
+            calibrations.log(_calibration(messages, camera, timestamp), log_time=timestamp_ns)
             x, y, z, w = Rotation.from_matrix(camera.world_from_camera[:3, :3]).as_quat().tolist()
             tx, ty, tz = camera.world_from_camera[:3, 3].tolist()
             transform = messages.FrameTransform(
-                timestamp=at, parent_frame_id=WORLD, child_frame_id=camera.name,
+                timestamp=timestamp, parent_frame_id=WORLD, child_frame_id=camera.name,
                 translation=messages.Vector3(x=tx, y=ty, z=tz), rotation=messages.Quaternion(x=x, y=y, z=z, w=w),
             )  # fmt: skip
             transforms.log(transform, log_time=timestamp_ns)
 
     def background(self, name: str, raw: UInt16[ndarray, "h w"], timestamp_ns: int) -> None:
-        """The empty scene."""
+        """Log the empty scene."""
         channel = self._images(self.rig[name], "background", SHARED_CLOCK)
         channel.log(self.image(name, timestamp_ns, raw), log_time=timestamp_ns)
 
     def image(self, name: str, timestamp_ns: int, raw: UInt16[ndarray, "h w"]) -> Any:
         """The message of a depth picture."""
-        at, data = self.time(timestamp_ns), encode_depth(raw, self._coding)
+        timestamp, data = self.time(timestamp_ns), encode_depth(raw, self._coding)
         if self._coding != "raw":
-            return self._sdk.messages.CompressedImage(timestamp=at, frame_id=name, data=data, format=self._coding)
+            return self._sdk.messages.CompressedImage(
+                timestamp=timestamp, frame_id=name, data=data, format=self._coding
+            )
         height, width = raw.shape
         return self._sdk.messages.RawImage(
-            timestamp=at, frame_id=name, width=width, height=height, encoding="16UC1", step=2 * width, data=data
+            timestamp=timestamp, frame_id=name, width=width, height=height, encoding="16UC1", step=2 * width, data=data
         )
 
     def depth(self, name: str, image: Any, log_time_ns: int, clock: str = SHARED_CLOCK) -> None:
-        """Log a picture that ``image`` made. The clock is the first frame's."""
+        """Log a picture that ``image`` made. The channel keeps the clock of its first frame."""
         if name not in self._depth:
             self._depth[name] = self._images(self.rig[name], "depth", clock)
         self._depth[name].log(image, log_time=log_time_ns)
 
     def truth(self, timestamp_ns: int, joints: Float[ndarray, "18 3"]) -> None:
-        """The true joints (metres, the rig's world)."""
+        """Log the true joints (metres, the rig's world)."""
         if self._truth is None:
             self._truth = self._sdk.Channel(
                 TRUTH_TOPIC, schema=TRUTH_SCHEMA, message_encoding="json", context=self._context
@@ -256,20 +265,21 @@ class Topics:
         self._truth.log(json.dumps(message, allow_nan=False).encode(), log_time=timestamp_ns)
 
 
-def _calibration(messages: Any, camera: DepthCamera, at: Any) -> Any:
+def _calibration(messages: Any, camera: DepthCamera, timestamp: Any) -> Any:
     fx, fy, cx, cy = (float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy))
     return messages.CameraCalibration(
-        timestamp=at, frame_id=camera.name, width=camera.width, height=camera.height, distortion_model="plumb_bob",
-        D=[float(k) for k in camera.distortion], K=[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
+        timestamp=timestamp, frame_id=camera.name, width=camera.width, height=camera.height,
+        distortion_model="plumb_bob", D=[float(k) for k in camera.distortion],
+        K=[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],
         R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], P=[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
     )  # fmt: skip
 
 
 class McapWriter:
-    """Writes a recording frame by frame; a context manager. Threads may write at the same time.
+    """Writes a recording frame by frame; a context manager. Several threads may write at the same time.
 
     Attributes:
-        frames: written so far, by camera.
+        frames: number of frames written so far, by camera.
     """
 
     def __init__(
@@ -299,7 +309,7 @@ class McapWriter:
             self._topics = Topics(self._sink.sdk, self._sink.context, rig, coding)
             self._sink.metadata(METADATA, {"version": VERSION, "up": rig.up})
             self._topics.describe(start_ns)
-            self._sink.flush()  # what all frames need shares its chunk with nothing large that could be damaged
+            self._sink.flush()  # all frames need the calibrations, so they have a small chunk of their own
             for name, raw in (backgrounds or {}).items():
                 self._topics.background(name, raw, start_ns)
             self._sink.flush()
@@ -311,7 +321,7 @@ class McapWriter:
         """Record one more camera from now on.
 
         Raises:
-            InputError: when one of its name is there, or the file cannot be written any further.
+            InputError: when a camera of its name is in the file, or the file cannot be written any further.
         """
         if camera.name in self.rig.names:
             raise InputError(f"{self.path} has a camera {camera.name!r} already")
@@ -336,12 +346,12 @@ class McapWriter:
             name: the camera.
             timestamp_ns: the frame's time, by ``clock``.
             raw: depth in the camera's units.
-            log_time_ns: the host's time of day at its arrival, by which cameras of different clocks are put together;
-                by default the frame's own time.
-            clock: its name; cameras with equal names share one.
+            log_time_ns: the host's time of day at the frame's arrival, which relates cameras with different clocks; by
+                default the frame's own time.
+            clock: name of the clock; cameras with equal names share one clock.
 
         Raises:
-            UnfitFrameError: when it is not of the rig, or of a time that the file cannot tell.
+            UnfitFrameError: when the frame does not fit the rig, or the file cannot hold its time.
             InputError: when the file cannot be written any further.
         """
         check_frame(self.path, self.rig, name, raw)
@@ -362,19 +372,19 @@ class McapWriter:
 
     @property
     def fault(self) -> OSError | None:
-        """Why nothing can be written any more."""
+        """The error after which nothing is written any more; None if there was none."""
         return self._sink.fault
 
     def check(self) -> None:
-        """Raises InputError once something could not be written."""
+        """Raise InputError if something could not be written."""
         self._sink.check()
 
     def close(self) -> None:
-        """Finish the file. It ends with the calibrations once more: without any, no frame is of use."""
+        """Finish the file. Its end repeats the calibrations, without which no frame is of use."""
         with self._lock:
             if not self._closed:
                 self._closed = True
-                with contextlib.suppress(InputError):  # what could not be written was told when frames were
+                with contextlib.suppress(InputError):  # writing the frames has reported it already
                     self._sink.check()
                     self._topics.describe(self._latest_ns)
                     self._sink.flush()

@@ -1,7 +1,7 @@
-"""An MKV file of the Azure Kinect's recorder (``k4arecorder``, also with Femto cameras), read like a recording folder.
+"""Reads MKV files of the Azure Kinect's recorder (``k4arecorder``, also for Femto cameras) like a recording folder.
 
-The SDK is not needed: the depth in these files is not compressed, and the factory's calibration is attached. The format
-is Matroska's (RFC 8794 and 9559) with the tags and tracks that the SDK's documentation lists.
+This needs no SDK, because depth is not compressed in these files and the factory calibration is attached. The format is
+Matroska (RFC 8794 and 9559) with the tags and tracks that the SDK's documentation lists.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, UInt16
+from jaxtyping import UInt16
 from numpy import ndarray
 
 from depthmocap.cameras.lens import five_coefficients
@@ -22,34 +22,36 @@ from depthmocap.core.reading.input_files import open_file
 from depthmocap.core.reading.json_text import parse_json
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
-from depthmocap.recordings.folder import Recording
+from depthmocap.recordings.recording import Recording
+from depthmocap.recordings.true_joints import TrueJoints
 
-#: Matroska's elements that hold others. They are walked through as if what is in them stood in a row, so that the sizes
-#: that a killed recorder did not write do not matter.
+#: Matroska elements that contain others. The reader ignores their sizes, which a killed recorder did not write, and
+#: reads their contents as one sequence.
 _SEGMENT, _CLUSTER, _GROUP, _TRACKS, _TRACK, _VIDEO = 0x18538067, 0x1F43B675, 0xA0, 0x1654AE6B, 0xAE, 0xE0
 _INFO, _ATTACHMENTS, _ATTACHED, _TAGS, _TAG, _SIMPLE_TAG = 0x1549A966, 0x1941A469, 0x61A7, 0x1254C367, 0x7373, 0x67C8
-_HOLDERS = {
+_CONTAINERS = {
     _SEGMENT, _CLUSTER, _GROUP, _TRACKS, _TRACK, _VIDEO, _INFO, _ATTACHMENTS, _ATTACHED, _TAGS, _TAG, _SIMPLE_TAG
 }  # fmt: skip
+#: Matroska elements with values.
 _HEADER, _SCALE, _CLUSTER_TIME, _SIMPLE_BLOCK, _BLOCK = 0x1A45DFA3, 0x2AD7B1, 0xE7, 0xA3, 0xA1
 _NUMBER, _NAME, _PRIVATE, _WIDTH, _HEIGHT = 0xD7, 0x536E, 0x63A2, 0xB0, 0xBA
 _FILE_NAME, _FILE_DATA, _TAG_NAME, _TAG_TEXT = 0x466E, 0x465C, 0x45A3, 0x4487
-#: 16 bits a pixel, the high byte first.
+#: Codec of depth pictures: 16 bits a pixel, the high byte first.
 _FOURCC = b"b16g"
-#: The recorder gives millimetres.
+#: Metres of one depth unit: the recorder writes millimetres.
 _UNIT_M = 0.001
 
 
 @dataclasses.dataclass(frozen=True)
 class _Mode:
-    """What a depth mode reads of the sensor's calibrated square: the square's side in its pixels, the corner."""
+    """The part of the calibrated square sensor that a depth mode reads: the square's side and the corner (pixels)."""
 
     square: int
     left: int = 0
     top: int = 0
 
 
-#: The camera's depth modes by the size of their pictures, as the SDK's sources have them.
+#: The camera's depth modes by picture size, from the SDK's sources.
 _MODES = {
     (320, 288): _Mode(512, 96, 90),
     (640, 576): _Mode(1024, 192, 180),
@@ -59,27 +61,27 @@ _MODES = {
 
 
 def _elements(data: mmap.mmap) -> Iterator[tuple[int, int, int]]:
-    """Every element that holds no others: its number, start and end. Ends at what is no element or was cut off."""
-    at, end = 0, len(data)
-    while at < end:
-        first = data[at]
+    """Number, start and end of each element. Stops at damaged bytes and at an element that was cut off."""
+    offset, end = 0, len(data)
+    while offset < end:
+        first = data[offset]
         length = 9 - first.bit_length()
-        if length > 4 or at + length >= end:
+        if length > 4 or offset + length >= end:
             return
-        number = int.from_bytes(data[at : at + length], "big")
-        at += length
-        width = 9 - data[at].bit_length()
-        if width > 8 or at + width > end:
+        number = int.from_bytes(data[offset : offset + length], "big")
+        offset += length
+        width = 9 - data[offset].bit_length()
+        if width > 8 or offset + width > end:
             return
-        size = int.from_bytes(data[at : at + width], "big") & ((1 << 7 * width) - 1)
-        at += width
-        if number in _HOLDERS:
-            yield number, at, at
+        size = int.from_bytes(data[offset : offset + width], "big") & ((1 << 7 * width) - 1)
+        offset += width
+        if number in _CONTAINERS:
+            yield number, offset, offset
             continue
-        if at + size > end:
+        if offset + size > end:
             return
-        yield number, at, at + size
-        at += size
+        yield number, offset, offset + size
+        offset += size
 
 
 @dataclasses.dataclass
@@ -93,7 +95,7 @@ class _Track:
 
 @dataclasses.dataclass
 class _Contents:
-    """What was found in a file, in the order of the file."""
+    """The contents of a file, in its order."""
 
     tracks: list[_Track] = dataclasses.field(default_factory=list)
     tags: dict[str, str] = dataclasses.field(default_factory=dict)
@@ -104,44 +106,43 @@ class _Contents:
     end: int = 0
 
 
-def _read(data: mmap.mmap) -> _Contents:
-    found = _Contents()
+def _scan(data: mmap.mmap) -> _Contents:
+    contents = _Contents()
     cluster_time, name = 0, ""
     for kind, start, end in _elements(data):
-        found.end = end
+        contents.end = end
         value = data[start : min(end, start + 12)] if kind in (_SIMPLE_BLOCK, _BLOCK) else data[start:end]
         whole = int.from_bytes(value, "big") if len(value) <= 8 else 0
         if kind == _TRACK:
-            found.tracks.append(_Track())
-        elif kind == _NUMBER and found.tracks:
-            found.tracks[-1].number = whole
-        elif kind == _NAME and found.tracks:
-            found.tracks[-1].name = value.decode(errors="replace")
-        elif kind == _PRIVATE and found.tracks:
-            found.tracks[-1].fourcc = value[16:20]
-        elif kind == _WIDTH and found.tracks:
-            found.tracks[-1].width = whole
-        elif kind == _HEIGHT and found.tracks:
-            found.tracks[-1].height = whole
+            contents.tracks.append(_Track())
+        elif kind == _NUMBER and contents.tracks:
+            contents.tracks[-1].number = whole
+        elif kind == _NAME and contents.tracks:
+            contents.tracks[-1].name = value.decode(errors="replace")
+        elif kind == _PRIVATE and contents.tracks:
+            contents.tracks[-1].fourcc = value[16:20]
+        elif kind == _WIDTH and contents.tracks:
+            contents.tracks[-1].width = whole
+        elif kind == _HEIGHT and contents.tracks:
+            contents.tracks[-1].height = whole
         elif kind in (_FILE_NAME, _TAG_NAME):
             name = value.decode(errors="replace")
         elif kind == _FILE_DATA:
-            found.files[name] = value
+            contents.files[name] = value
         elif kind == _TAG_TEXT:
-            found.tags[name] = value.decode(errors="replace")
+            contents.tags[name] = value.decode(errors="replace")
         elif kind == _SCALE:
-            found.scale_ns = whole
+            contents.scale_ns = whole
         elif kind == _CLUSTER_TIME:
             cluster_time = whole
         elif kind in (_SIMPLE_BLOCK, _BLOCK) and end - start > 4 and value[0] & 0x80:
             time = cluster_time + int.from_bytes(value[1:3], "big", signed=True)
-            found.blocks.append((value[0] & 0x7F, time, start + 4, end))
-    return found
+            contents.blocks.append((value[0] & 0x7F, time, start + 4, end))
+    return contents
 
 
 class MkvRecording(Recording):
-    """The depth of an Azure Kinect's MKV file. The camera stands at the origin, and is called as the
-    file, as far as a camera can be."""
+    """The depth of an Azure Kinect's MKV file. The camera stands at the origin and is named after the file."""
 
     def _load(self) -> tuple[Rig, dict[str, list[int]]]:
         path = self.path
@@ -153,50 +154,50 @@ class MkvRecording(Recording):
                 raise InputError(f"{path} cannot be read: {reason}") from None
         if int.from_bytes(self._data[:4], "big") != _HEADER:
             raise InputError(f"{path} is not a Matroska file (MKV)")
-        found = _read(self._data)
-        depth = next((track for track in found.tracks if track.name == "DEPTH"), None)
+        contents = _scan(self._data)
+        depth = next((track for track in contents.tracks if track.name == "DEPTH"), None)
         if depth is None:
-            names = ", ".join(track.name or "one without name" for track in found.tracks) or "none"
+            names = ", ".join(track.name or "one without name" for track in contents.tracks) or "none"
             raise InputError(f"{path} has no track DEPTH of an Azure Kinect; its tracks: {names}")
         mode = _MODES.get((depth.width, depth.height))
         if depth.fourcc != _FOURCC or mode is None:
             raise InputError(f"{path} has depth of an unknown form ({depth.fourcc!r}, {depth.width}×{depth.height})")
         name = safe_name(path.stem)
-        camera = self._camera(name, depth, mode, found)
+        camera = self._camera(name, depth, mode, contents)
         size = 2 * depth.width * depth.height
-        start_ns = self._start_ns(found)
+        start_ns = self._start_ns(contents)
         self._frames: dict[int, tuple[int, int]] = {}
-        for track, time, start, end in found.blocks:
+        for track, time, start, end in contents.blocks:
             if track == depth.number and end - start == size:
-                self._frames.setdefault(start_ns + time * found.scale_ns, (start, end))
-        if found.end < len(self._data):
-            self._note(f"{path} was cut off or is damaged after {found.end} bytes; what is before is read")
+                self._frames.setdefault(start_ns + time * contents.scale_ns, (start, end))
+        if contents.end < len(self._data):
+            self._note(f"{path} was cut off or is damaged after {contents.end} bytes; what is before is read")
         if not self._frames:
             raise InputError(f"{path} has no depth frame")
-        # Cameras on one trigger wire count from its first pulse.
-        wired = found.tags.get("K4A_WIRED_SYNC_MODE") in ("MASTER", "SUBORDINATE")
-        serial = found.tags.get("K4A_DEVICE_SERIAL_NUMBER", name)
+        # The clocks of cameras on one trigger wire start at its first pulse.
+        wired = contents.tags.get("K4A_WIRED_SYNC_MODE") in ("MASTER", "SUBORDINATE")
+        serial = contents.tags.get("K4A_DEVICE_SERIAL_NUMBER", name)
         self._clock = "azure wired" if wired else f"azure {serial} device"
         return Rig((camera,), "-y"), {name: sorted(self._frames)}
 
-    def _start_ns(self, found: _Contents) -> int:
-        """The device's time at which the file's begins."""
-        told = found.tags.get("K4A_START_OFFSET_NS", "0")
-        if not (told.isascii() and told.isdecimal() and len(told) < 19):
-            raise InputError(f"{self.path}: the tag K4A_START_OFFSET_NS must be nanoseconds, not {told!r}")
-        return int(told)
+    def _start_ns(self, contents: _Contents) -> int:
+        """The device time (ns) at which the file's time begins."""
+        offset_ns = contents.tags.get("K4A_START_OFFSET_NS", "0")
+        if not (offset_ns.isascii() and offset_ns.isdecimal() and len(offset_ns) < 19):
+            raise InputError(f"{self.path}: the tag K4A_START_OFFSET_NS must be nanoseconds, not {offset_ns!r}")
+        return int(offset_ns)
 
-    def _camera(self, name: str, track: _Track, mode: _Mode, found: _Contents) -> DepthCamera:
-        attached = found.files.get(found.tags.get("K4A_CALIBRATION_FILE", "calibration.json"))
+    def _camera(self, name: str, track: _Track, mode: _Mode, contents: _Contents) -> DepthCamera:
+        attached = contents.files.get(contents.tags.get("K4A_CALIBRATION_FILE", "calibration.json"))
         if attached is None:
             raise InputError(f"{self.path} has no calibration attached: was it written by k4arecorder?")
         try:
             document = parse_json(attached.rstrip(b"\0"), f"{self.path}: the attached calibration")
-            lenses = [_depth_lens(each) for each in document["CalibrationInformation"]["Cameras"]]
-            cx, cy, fx, fy, *k, _, _, p2, p1 = next(each for each in lenses if each is not None)
+            lenses = [_depth_lens(camera) for camera in document["CalibrationInformation"]["Cameras"]]
+            cx, cy, fx, fy, *k, _, _, p2, p1 = next(lens for lens in lenses if lens is not None)
         except (ValueError, KeyError, TypeError, OverflowError, StopIteration):
             raise InputError(f"{self.path}: the attached calibration of the depth camera cannot be read") from None
-        # The factory's numbers are shares of the square, whose corner is at the corner of its first pixel.
+        # The factory calibration is in units of the square's side, with the origin at the corner of its first pixel.
         side = mode.square
         lens = np.array([k[0], k[1], p1, p2, *k[2:]], np.float64)
         return checked(DepthCamera(
@@ -218,12 +219,12 @@ class MkvRecording(Recording):
     def _where(self, name: str, what: str) -> str:
         return f"{self.path}: frame {what}"
 
-    def _load_truth(self) -> tuple[Int[ndarray, " rows"], Float[ndarray, "rows 18 3"], bool] | None:
+    def _load_truth(self) -> TrueJoints | None:
         return None
 
 
 def _depth_lens(camera: dict[str, Any]) -> list[float] | None:
-    """The 14 numbers of a camera's lens, if it is the one of depth."""
+    """The 14 lens parameters of the depth camera; None for another camera."""
     if camera["Location"] != "CALIBRATION_CameraLocationD0":
         return None
-    return [float(each) for each in camera["Intrinsics"]["ModelParameters"][:14]]
+    return [float(value) for value in camera["Intrinsics"]["ModelParameters"][:14]]

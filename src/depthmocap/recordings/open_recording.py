@@ -1,4 +1,4 @@
-"""Any recording by its path."""
+"""Opens any recording by its path."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from pathlib import Path
 
 from depthmocap.errors import InputError
 from depthmocap.geometry import Rig
-from depthmocap.recordings.folder import Recording
 from depthmocap.recordings.mcap_recording import McapRecording
 from depthmocap.recordings.mkv_recording import MkvRecording
+from depthmocap.recordings.recording import Recording
 
 _FILES: dict[str, type[Recording]] = {".mcap": McapRecording, ".mkv": MkvRecording}
-#: Files that are played like cameras, by back ends.
+#: Files that only a camera back end can read.
 _BY_SDK = {".oni": "openni", ".bag": "orbbec"}
 
 
@@ -22,11 +22,13 @@ def packaged_recording() -> Path:
 
 
 def open_recording(path: Path, rig: Rig | None = None) -> Recording:
-    """An MCAP file or an Azure Kinect's MKV file, by the end of its name, or a recording folder; its
-    cameras stand where ``rig`` says, if one is given.
+    """Open a recording: an MCAP file, an Azure Kinect's MKV file, or a recording folder.
+
+    Args:
+        rig: the poses of the cameras; by default the recording's own.
 
     Raises:
-        InputError: when it is none.
+        InputError: when the path is no recording.
     """
     if back_end := _BY_SDK.get(path.suffix.lower()):
         raise InputError(

@@ -1,4 +1,4 @@
-"""Tables of joints over time as CSV: what ``pose.csv`` and a recording's ``truth.csv`` hold, and reading them."""
+"""Tables of joints over time in CSV: the columns of ``pose.csv`` and a recording's ``truth.csv``, and their reader."""
 
 from __future__ import annotations
 
@@ -17,16 +17,19 @@ from depthmocap.core.reading.input_files import read_text
 from depthmocap.errors import InputError
 from depthmocap.frames import Pose
 
-TIME, STAMP = "time_s", "timestamp_ns"
+#: Column of the seconds since the first row.
+TIME = "time_s"
+#: Column of the timestamps on the frames' clock.
+STAMP = "timestamp_ns"
 _POSITION_COLUMNS = [f"{joint}_{axis}" for joint in JOINTS for axis in "xyz"]
 _CONFIDENCE_COLUMNS = [f"{joint}_confidence" for joint in JOINTS]
 #: The columns of pose.csv.
 HEADER: tuple[str, ...] = (
     TIME, *(f"{joint}_{field}" for joint in JOINTS for field in ("x", "y", "z", "confidence")), STAMP,
 )  # fmt: skip
-#: The columns of truth.csv: a recording's frames can be taken away at its beginning, so its times count from nothing.
+#: The columns of truth.csv. It has no time_s, because deleting the first frames would shift such times.
 TRUTH_HEADER: tuple[str, ...] = (STAMP, *_POSITION_COLUMNS)
-#: Timestamps are at most this far from 0 (ns).
+#: Largest absolute value of a timestamp (ns).
 _MOST_NS = 2**63 - 1
 
 
@@ -35,10 +38,12 @@ class PoseTable:
     """Rows of a file with the columns of pose.csv or truth.csv.
 
     Attributes:
-        stamps_ns: times on the frames' clock where the file has them (``on_clock``), otherwise its ``time_s``, whatever
-            that counts from.
-        times_s: its ``time_s``; without that column, since the first row.
+        stamps_ns: times on the frames' clock if the file has them (``on_clock``), otherwise the column ``time_s``,
+            whose origin is unknown.
+        on_clock: whether ``stamps_ns`` is on the frames' clock.
+        times_s: the column ``time_s``; without it, seconds since the first row.
         joints: metres, NaN where unobserved.
+        confidence: 0 to 1, 0 where unobserved.
     """
 
     stamps_ns: Int[ndarray, " t"]
@@ -51,26 +56,26 @@ class PoseTable:
         return len(self.stamps_ns)
 
     def poses(self) -> list[Pose]:
-        """Its rows as poses."""
+        """The rows as poses."""
         rows = zip(self.stamps_ns.tolist(), self.joints, self.confidence, strict=True)
         return [Pose(*row) for row in rows]
 
 
 def read_csv(path: Path) -> tuple[Float[ndarray, " t"], Float[ndarray, "t 18 3"], Float[ndarray, "t 18"]]:
-    """Times (s), joints (m, NaN where unobserved) and confidences of a file: see :func:`read_table`.
+    """Times (s), joints (m, NaN where unobserved) and confidences of a file, read by :func:`read_table`.
 
     Raises:
-        InputError: see :func:`read_table`.
+        InputError: when :func:`read_table` raises it.
     """
     table = read_table(path)
     return table.times_s, table.joints, table.confidence
 
 
 def read_table(path: Path) -> PoseTable:
-    """The rows of a file with the columns of ``write_csv``, or of a recording's truth.csv.
+    """Read a file with the columns of pose.csv or of a recording's truth.csv.
 
-    Columns are found by name, in any order; others are ignored. Of ``time_s`` and ``timestamp_ns`` one is enough. An
-    empty cell is NaN. Without the confidence columns an observed joint has confidence 1 and an unobserved one 0.
+    The columns may be in any order, and other columns are ignored. ``time_s`` or ``timestamp_ns`` alone is enough. An
+    empty cell is NaN. Without confidence columns an observed joint has confidence 1, and an unobserved one has 0.
 
     Raises:
         InputError: when the file is missing or empty, lacks a column, or has a cell that is not a number or times
@@ -91,18 +96,20 @@ def read_table(path: Path) -> PoseTable:
         raise InputError(
             f"{path} lacks the columns {', '.join(absent[:3])}{more}; expected {HEADER[0]}, {HEADER[1]}, …"
         )
-    given = [name for name in _CONFIDENCE_COLUMNS if name in columns]
-    if given and len(given) < len(JOINTS):
-        raise InputError(f"{path} has a confidence column for {len(given)} of {len(JOINTS)} joints: all or none")
+    confidence_columns = [name for name in _CONFIDENCE_COLUMNS if name in columns]
+    if confidence_columns and len(confidence_columns) < len(JOINTS):
+        raise InputError(
+            f"{path} has a confidence column for {len(confidence_columns)} of {len(JOINTS)} joints: all or none"
+        )
 
-    wanted = [columns[name] for name in (*_POSITION_COLUMNS, *given)]
-    table = np.empty((len(rows) - 1, len(wanted)))
+    value_columns = [columns[name] for name in (*_POSITION_COLUMNS, *confidence_columns)]
+    table = np.empty((len(rows) - 1, len(value_columns)))
     stamps: dict[str, list[int]] = {name: [] for name in clocks}
     for i, row in enumerate(rows[1:]):
         if len(row) != len(rows[0]):
             raise InputError(f"{path}, row {i + 2}: {len(row)} cells where the header has {len(rows[0])}")
         try:
-            table[i] = [float(row[column].strip() or "nan") for column in wanted]
+            table[i] = [float(row[column].strip() or "nan") for column in value_columns]
         except ValueError as error:
             raise InputError(f"{path}, row {i + 2}: {error}") from None
         for name in clocks:
@@ -117,18 +124,18 @@ def read_table(path: Path) -> PoseTable:
     joints = table[:, :54].reshape(-1, len(JOINTS), 3)
     observed = np.asarray(~np.isnan(joints).any(-1))
     joints = np.where(observed[..., None], joints, np.nan)
-    confidence = table[:, 54:] if given else observed.astype(np.float64)
+    confidence = table[:, 54:] if confidence_columns else observed.astype(np.float64)
     confidence = np.where(np.isnan(confidence), 0.0, confidence)
     return PoseTable(stamps_ns, clocks[0] == STAMP, times_s * 1e-9, joints, confidence)
 
 
 def _nanoseconds(path: Path, row: int, column: str, cell: str) -> int:
-    """A cell of a time, exactly: a float of seconds does not hold the nanoseconds of an epoch."""
+    """The exact time in a cell (ns): as a float, seconds since 1970 are not exact to a nanosecond."""
     try:
         number = Decimal(cell)
         stamp = round(number * (1 if column == STAMP else 10**9)) if abs(number) <= _MOST_NS else None
         if stamp is not None and abs(stamp) <= _MOST_NS:
             return stamp
-    except (ArithmeticError, ValueError):  # Decimal's own errors are both
+    except (ArithmeticError, ValueError):  # Decimal raises both
         pass
     raise InputError(f"{path}, row {row}: {column} must be a number in every row, got {cell[:40]!r}")

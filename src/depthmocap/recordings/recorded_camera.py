@@ -1,4 +1,4 @@
-"""Cameras of recordings as sources, as fast as they are read or at their own speed."""
+"""Cameras of recordings as sources, played at their own speed or as fast as they are read."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from depthmocap.cameras.registry import BACK_ENDS
 from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, FrameTimeoutError
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera
-from depthmocap.recordings.folder import Recording
 from depthmocap.recordings.open_recording import open_recording
+from depthmocap.recordings.recording import Recording
 
 
 def make_sources(spec: str, request: ModeRequest, playback_clock: PlaybackClock) -> list[DepthSource]:
-    """All cameras of a recording that have frames, or one: ``PATH`` or ``PATH#NAME``.
+    """The cameras of a recording that have frames (``PATH``), or one of them (``PATH#NAME``).
 
     Args:
-        wanted: no mode; a recording has none but that in which it was made.
+        request: not used; a recording has only the mode in which it was made.
 
     Raises:
         InputError: when there is no such recording or camera.
@@ -40,14 +40,14 @@ def make_sources(spec: str, request: ModeRequest, playback_clock: PlaybackClock)
     with_frames = [name for name in recording.rig.names if recording.stamps(name)]
     names = with_frames if path == Path(spec) else [spec.rpartition("#")[2]]
     sources: list[DepthSource] = [RecordedCamera(recording, name, playback_clock) for name in names]
-    sources[0].problems.extend(recording.problems)  # the file's, told once
+    sources[0].problems.extend(recording.problems)  # the file's problems, reported once
     return sources
 
 
 class RecordedCamera(DepthSource):
-    """One camera of a recording. A frame that cannot be read is left out, as if it had been lost."""
+    """One camera of a recording. It skips frames that cannot be read, as if they had been lost."""
 
-    lost_after_s = float("inf")  # a gap was recorded as it was
+    lost_after_s = float("inf")  # gaps are part of the recording
     reopens = False
 
     def __init__(self, recording: Recording, name: str, playback_clock: PlaybackClock | None = None) -> None:
@@ -86,4 +86,4 @@ class RecordedCamera(DepthSource):
         return None
 
     def _close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: the recording stays open."""

@@ -10,10 +10,11 @@ import numpy as np
 
 from depthmocap.errors import InputError
 
+#: Frame period of recordings too short to tell theirs (ns): 30 frames a second.
 DEFAULT_PERIOD_NS = 33_333_333
-#: Ten thousand frames a second: no depth camera has a tenth of it.
+#: Shortest possible frame period (ns): 10,000 frames a second, ten times more than any depth camera.
 SHORTEST_PERIOD_NS = 100_000
-#: A gap longer than this is a pause of the recording, not lost frames: it is reported and not filled.
+#: A gap longer than this (ns) is a pause of the recording: it is reported, and not filled with empty sets.
 LONGEST_FILLED_GAP_NS = 10_000_000_000
 
 
@@ -26,10 +27,10 @@ class StampSet:
 
 
 def frame_period_ns(stamps: Mapping[str, Sequence[int]]) -> int:
-    """Frame period of the fastest camera: the least of the cameras' median intervals (30 Hz when nothing tells).
+    """Frame period of the fastest camera (ns): the smallest of the cameras' median intervals, 30 Hz without intervals.
 
-    The least, because a camera that drops every other frame must not halve the rate of the rest; cameras with less
-    than a tenth of the longest's frames have too few intervals to say anything.
+    It is the smallest because a camera that drops every other frame must not halve the rate of the others. Cameras
+    with less than a tenth of the frames of the longest one are ignored, because their few intervals are not reliable.
     """
     most = max(map(len, stamps.values()), default=0)
     trusted = [np.diff(np.array(s, np.int64)) for s in stamps.values() if len(s) > 1 and 10 * len(s) >= most]
@@ -37,7 +38,7 @@ def frame_period_ns(stamps: Mapping[str, Sequence[int]]) -> int:
 
 
 def check_unit(path: Path, period_ns: int) -> None:
-    """No depth camera is that fast: stamps are counts of frames or in another unit.
+    """Check that timestamps can be nanoseconds, and not frame counts or another unit.
 
     Raises:
         InputError: when frames follow each other too soon.
@@ -50,11 +51,11 @@ def check_unit(path: Path, period_ns: int) -> None:
 
 
 def group_stamps(stamps: Mapping[str, Sequence[int]], period_ns: int) -> list[StampSet]:
-    """Sets of frames within half a period of each other, at most one a camera, in order of time.
+    """Sets of frames within half a period of each other, at most one for each camera, in order of time.
 
-    One sweep over all stamps in order: a set takes every frame up to half a period after its first.
+    One pass over all timestamps in order: a set takes every frame up to half a period after its first.
     """
-    ordered = sorted((stamp, name) for name, own in stamps.items() for stamp in own)
+    ordered = sorted((stamp, name) for name, camera_stamps in stamps.items() for stamp in camera_stamps)
     groups: list[dict[str, int]] = []
     first = 0
     for stamp, name in ordered:
@@ -64,8 +65,8 @@ def group_stamps(stamps: Mapping[str, Sequence[int]], period_ns: int) -> list[St
         groups[-1][name] = stamp
     sets: list[StampSet] = []
     for group in groups:
-        own = sorted(group.values())
-        median = (own[(len(own) - 1) // 2] + own[len(own) // 2]) // 2
+        ordered_stamps = sorted(group.values())
+        median = (ordered_stamps[(len(ordered_stamps) - 1) // 2] + ordered_stamps[len(ordered_stamps) // 2]) // 2
         if sets:  # time must advance even when two cameras' equal stamps fall in neighbouring sets
             median = max(median, sets[-1].timestamp_ns + 1)
         sets.append(StampSet(median, group))
@@ -73,7 +74,7 @@ def group_stamps(stamps: Mapping[str, Sequence[int]], period_ns: int) -> list[St
 
 
 def fill_gaps(sets: Sequence[StampSet], period_ns: int) -> tuple[list[StampSet], list[str]]:
-    """Empty sets where no camera delivered for over 1.5 periods, and a line for each gap too long to fill."""
+    """Add empty sets where no camera delivered for 1.5 periods; returns the sets and a line for each longer gap."""
     filled: list[StampSet] = []
     problems: list[str] = []
     for stamp_set in sets:
@@ -88,12 +89,12 @@ def fill_gaps(sets: Sequence[StampSet], period_ns: int) -> tuple[list[StampSet],
 
 
 def check_clocks(path: Path, stamps: Mapping[str, Sequence[int]], period_ns: int) -> None:
-    """Cameras may start and stop at different times, but their spans must join up, or their clocks differ.
+    """Check that the time spans of the cameras overlap or join, because otherwise their clocks differ.
 
     Raises:
-        InputError: naming the first camera that starts after all before it have ended.
+        InputError: when a camera starts after all earlier ones have ended; the message names it.
     """
-    spans = sorted((own[0], own[-1], name) for name, own in stamps.items())
+    spans = sorted((camera_stamps[0], camera_stamps[-1], name) for name, camera_stamps in stamps.items())
     end, last = spans[0][1], spans[0][2]
     for start, stop, name in spans[1:]:
         if start - end > period_ns:

@@ -1,4 +1,4 @@
-"""The mark of a recording folder that is not whole: it is there from before the first frame until after the last."""
+"""The mark of an unfinished recording folder: a file that exists from before the first frame until after the last."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ UNFINISHED_FILE = "unfinished.json"
 
 
 def mark_unfinished(folder: Path, copy_of: Path | None) -> None:
-    """Say that a folder is being written, and what it is a copy of, which could make it anew.
+    """Mark a folder as being written, and note the recording of which it is a copy, if it is one.
 
     Raises:
-        InputError: when that cannot be written.
+        InputError: when the mark cannot be written.
     """
     source = None if copy_of is None else str(copy_of.resolve())
     write_file(folder / UNFINISHED_FILE, json.dumps({"copy_of": source}) + "\n")
 
 
 def _copied(folder: Path) -> str | None:
-    """What a marked folder is a copy of, if that is known."""
+    """The recording of which a marked folder is a copy; None if unknown."""
     with contextlib.suppress(InputError):
         document = read_json(folder / UNFINISHED_FILE)
         source = document.get("copy_of") if isinstance(document, dict) else None
@@ -34,7 +34,7 @@ def _copied(folder: Path) -> str | None:
 
 
 def unfinished(folder: Path) -> str | None:
-    """What to tell of a folder that is not whole; None of one that is."""
+    """A line about a folder that is unfinished; None if it is finished."""
     if not (folder / UNFINISHED_FILE).is_file():
         return None
     source = _copied(folder)
@@ -44,7 +44,7 @@ def unfinished(folder: Path) -> str | None:
 
 
 def remove_unfinished_copy(folder: Path, source: Path) -> bool:
-    """Remove what ``RecordingWriter`` wrote of a copy of ``source`` that it did not finish, and nothing else; returns
+    """Remove the files of an unfinished copy of ``source`` that ``RecordingWriter`` wrote, and no others; returns
     whether the folder is empty now."""
     if _copied(folder) != str(source.resolve()):
         return False
@@ -53,7 +53,7 @@ def remove_unfinished_copy(folder: Path, source: Path) -> bool:
             for file in path.glob("*.png"):
                 if file.stem.isdecimal() or file.name == "background.png" or ".part-" in file.name:
                     file.unlink()
-            with contextlib.suppress(OSError):  # it holds something else
+            with contextlib.suppress(OSError):  # the folder holds other files
                 path.rmdir()
         elif path.name in ("rig.json", "truth.csv"):
             path.unlink()

@@ -18,7 +18,7 @@ from numpy import ndarray
 
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import DepthCamera, Rig, look_at
-from depthmocap.recordings.folder import RecordingWriter
+from depthmocap.recordings.recording_writer import RecordingWriter
 from depthmocap.synth.body.mesh import BodyModel, Phenotype
 from depthmocap.synth.motion.perform import pose_sequence
 from depthmocap.synth.motion.sequence import DEMO_SECONDS, demo_motion

@@ -10,7 +10,7 @@ import pytest
 from depthmocap.body.skeleton import BONES, JOINT_INDEX, JOINTS, MIRROR
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, look_at
-from depthmocap.recordings.folder import Recording
+from depthmocap.recordings.recording import Recording
 from depthmocap.synth.body.bones import mirror_posture
 from depthmocap.synth.body.mesh import BodyModel
 from depthmocap.synth.demo_scene import LEARNT_CAMERA, ROOM, demo_body, demo_frames, demo_rig, write_demo
