@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy import ndarray
 
@@ -26,7 +27,7 @@ RIGHT, LEFT, MIDDLE = "#c44e52", "#4c72b0", "#444444"
 VIEW = 400
 
 
-def axes_of(ax: Axes, pose: ndarray, name: str, length: float) -> None:
+def axes_of(ax: Any, pose: ndarray, name: str, length: float) -> None:
     """The three axes of a frame."""
     at = pose[:3, 3]
     for axis, (letter, colour) in enumerate(AXES.items()):
@@ -58,7 +59,7 @@ def draw_frames(path: Path) -> None:
     for corner in corners:
         ax.plot(*np.stack([camera[:3, 3], corner]).T, color="#999999", linewidth=1)
     ax.set(xlim=(-1.5, 1.5), ylim=(-2.5, 1.5), zlim=(0, 1.9))
-    ax.set_box_aspect((3, 4, 1.9), zoom=1.4)
+    ax.set_box_aspect((3, 4, 1.9), zoom=1.4)  # pyright: ignore[reportArgumentType] - any number will do
     ax.view_init(20, -35)
     ax.set_axis_off()
     save(figure, path)
@@ -132,10 +133,10 @@ def draw_regions(path: Path) -> None:
     save(figure, path)
 
 
-def save(figure: plt.Figure, path: Path) -> None:
+def save(figure: Figure, path: Path) -> None:
     """Without the time of day in it, so that the same drawing is the same file."""
-    kind = {"metadata": {"Date": None}} if path.suffix == ".svg" else {"dpi": 130}
-    figure.savefig(path, facecolor="white", bbox_inches="tight", pad_inches=0.05, **kind)
+    metadata = {"Date": None} if path.suffix == ".svg" else None
+    figure.savefig(path, facecolor="white", bbox_inches="tight", pad_inches=0.05, dpi=130, metadata=metadata)
     plt.close(figure)
 
 
