@@ -14,7 +14,7 @@ from numpy import ndarray
 from timing import Bench, Reference, Row, Timing
 
 from depthmocap.body.regions import REGION_COUNT
-from depthmocap.evaluate.moving import moving_frames, prior_motions
+from depthmocap.evaluate.moving_people import moving_frames, prior_motions
 from depthmocap.frames import FrameSet, Pose, View
 from depthmocap.geometry.transforms import transform_points
 from depthmocap.offline.pipeline import STAGES, Pipeline

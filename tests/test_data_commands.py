@@ -15,7 +15,7 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.classify.classifier import Classifier
 from depthmocap.cli import main
 from depthmocap.datasets.ubc3v import Section, sections
-from depthmocap.evaluate.synthetic import measure
+from depthmocap.evaluate.accuracy import measure_accuracy
 from depthmocap.evaluate.ubc3v_protocol import Ubc3vEvaluation, evaluate_ubc3v
 from depthmocap.pose.estimators import load_estimator
 from depthmocap.pose.ridge import RidgeBank
@@ -124,11 +124,11 @@ def test_a_camera_may_be_missing_from_a_frame_but_not_from_all(root):
     frames = [Section(path)[i] for i in range(2)]
     estimator = load_estimator("votes", "true")
     short = [dataclasses.replace(frame, views=frame.views[:2]) for frame in frames]
-    found = measure([frames[0], short[1]], 3, estimator, None)
+    found = measure_accuracy([frames[0], short[1]], 3, estimator, None)
     assert found is not None
     assert (found["views"], found["frames"]) == (3, 2)
     with pytest.raises(InputError, match="no sample has 3 views: the data have labels of 2 cameras"):
-        measure(short, 3, estimator, None)
+        measure_accuracy(short, 3, estimator, None)
 
 
 def test_evaluation_says_what_is_missing(tmp_path, capsys):

@@ -294,7 +294,7 @@ GROUPS: dict[str, tuple[Command, ...]] = {
         ),
         Command(
             "evaluate people",
-            "depthmocap.evaluate.people_scenes",
+            "depthmocap.evaluate.people_protocol",
             "PeopleEvaluation",
             "evaluate_people",
             "several people in generated scenes: masks, numbers, and what they do to each other",

@@ -156,5 +156,5 @@ def test_bad_files(folder, people, joints, tmp_path, capsys):
 
 def test_names_of_ours_only_are_tied(folder):
     source = Eval(folder, {4: "Head", 0: "Nose"}, "all")
-    assert source.joints == ("Head", "Nose") and source.ours == {"Head": "Head"}
-    assert set(source.ours.values()) <= set(JOINTS)
+    assert source.joints == ("Head", "Nose") and source.correspondence == {"Head": "Head"}
+    assert set(source.correspondence.values()) <= set(JOINTS)

@@ -8,18 +8,20 @@ from mhad_files import make_clips, true_joints, write_mhad
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.cli import main
-from depthmocap.datasets.mhad import MHAD_JOINTS, MHAD_OURS
+from depthmocap.datasets.mhad import MHAD_CORRESPONDENCE, MHAD_JOINTS
 from depthmocap.evaluate import mhad_protocol as mhad
 
 CLIPS = make_clips(frames=5, actions=(1, 2))
-OURS_IN_MHAD = [MHAD_JOINTS.index({ours: theirs for theirs, ours in MHAD_OURS.items()}[joint]) for joint in JOINTS]
+OUR_JOINTS_IN_MHAD = [
+    MHAD_JOINTS.index({ours: theirs for theirs, ours in MHAD_CORRESPONDENCE.items()}[joint]) for joint in JOINTS
+]
 
 
 class Scripted:
     """An estimator that finds the true joints of one frame after the other, moved."""
 
     def __init__(self, moved, every):
-        self._frames = iter(np.concatenate([true_joints(clip)[::every, OURS_IN_MHAD] for clip in CLIPS]) + moved)
+        self._frames = iter(np.concatenate([true_joints(clip)[::every, OUR_JOINTS_IN_MHAD] for clip in CLIPS]) + moved)
 
     def __call__(self, cloud, up="z"):
         assert up == "y"

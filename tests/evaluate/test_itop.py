@@ -8,7 +8,7 @@ import pytest
 from people_files import picked, scenes
 
 from depthmocap.cli import main
-from depthmocap.datasets.itop import JOINTS, OURS, Itop, camera
+from depthmocap.datasets.itop import CORRESPONDENCE, JOINTS, Itop, camera
 from depthmocap.errors import InputError
 
 h5py = pytest.importorskip("h5py")
@@ -39,7 +39,7 @@ def people(default_body):
 
 @pytest.fixture(scope="session")
 def joints(people):
-    return picked(np.stack([each.joints for each in people]), OURS, JOINTS)
+    return picked(np.stack([each.joints for each in people]), CORRESPONDENCE, JOINTS)
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ import pytest
 from mhad_files import camera, make_clips, rest_joints, true_joints, write_bvh, write_mhad
 
 from depthmocap.datasets.annotated import AnnotatedSet
-from depthmocap.datasets.mhad import MHAD_JOINTS, MHAD_OURS, MhadSet, read_mhad_camera, read_pgm
+from depthmocap.datasets.mhad import MHAD_CORRESPONDENCE, MHAD_JOINTS, MhadSet, read_mhad_camera, read_pgm
 from depthmocap.errors import InputError
 from depthmocap.geometry.transforms import transform_points
 
@@ -57,7 +57,7 @@ def test_names_tell_the_subjects_own_sides():
     rest = dict(zip(MHAD_JOINTS, rest_joints(), strict=True))
     assert rest["RHand"][0] < 0 < rest["LHand"][0] and rest["LToeEnd"][2] > rest["LFoot"][2]
     assert rest["HeadEnd"][1] == max(place[1] for place in rest.values())
-    assert set(MHAD_OURS) < set(MHAD_JOINTS) and len(set(MHAD_OURS.values())) == 18
+    assert set(MHAD_CORRESPONDENCE) < set(MHAD_JOINTS) and len(set(MHAD_CORRESPONDENCE.values())) == 18
 
 
 def test_a_skeleton_that_lists_the_left_side_first(root, clips):

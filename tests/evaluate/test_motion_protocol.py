@@ -15,9 +15,17 @@ from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.cli import main
 from depthmocap.core.settings import plain_settings
 from depthmocap.errors import InputError
+from depthmocap.evaluate.estimated_sequences import EstimateStore, SequenceEstimates
 from depthmocap.evaluate.motion_protocol import MotionEvaluation, evaluate_motion
-from depthmocap.evaluate.moving import FPS, REACH_M, REST_S, clip_motions, moving_frames, prior_motions, way_over_floor
-from depthmocap.evaluate.sequences import Track, TrackStore
+from depthmocap.evaluate.moving_people import (
+    FPS,
+    REACH_M,
+    REST_S,
+    clip_motions,
+    moving_frames,
+    pelvis_trajectory,
+    prior_motions,
+)
 from depthmocap.evaluate.temporal_metrics import temporal_metrics
 from depthmocap.smooth.filters import BONES_CHOICES, FILTERS
 from depthmocap.synth.body.bones import heading
@@ -44,7 +52,7 @@ def test_motion_of_the_prior_comes_to_rest_without_jerks() -> None:
 def test_the_standing_foot_stays_where_it_is(default_body: Body) -> None:
     dressed = clothe(default_body, ORDINARY_CLOTHES, np.random.default_rng(0))
     known = demo_motion(dressed, np.arange(3.3, 5.0, 1 / FPS))  # steps forward, feet nailed to the floor
-    way = way_over_floor(default_body, known.postures)
+    way = pelvis_trajectory(default_body, known.postures)
     moved = way - way[0] - (known.offsets - known.offsets[0])[:, :2]
     # Both feet are low while the weight goes over, so that a little is lost.
     assert np.abs(moved).max() < 0.3 * np.abs(known.offsets - known.offsets[0])[:, 1].max()
@@ -91,7 +99,7 @@ def test_the_fault_is_measured_beside_the_same_sequences(tmp_path: Path, monkeyp
     settings = MotionEvaluation(tmp_path / "estimates", sequences=1, views=2, out_of_step_ms=16.0)
     settings = dataclasses.replace(settings, report=tmp_path / "new" / "page.html")
     tracks = _with_estimates(settings)
-    store = TrackStore(settings.out / "out_of_step_16_ms", _binding(settings))
+    store = EstimateStore(settings.out / "out_of_step_16_ms", _binding(settings))
     for index, track in enumerate(tracks):
         store.save(index, dataclasses.replace(track, joints=track.truth + 1.5 * (track.joints - track.truth)))
     numbers = evaluate_motion(settings, QUIET)
@@ -107,7 +115,7 @@ def test_clips_of_the_split_are_taken_and_too_few_are_told(tmp_path: Path, defau
         next(clip_motions(tmp_path, "test", 1, 1.0, np.random.default_rng(0)))
 
 
-def _tracks(settings: MotionEvaluation) -> list[Track]:
+def _tracks(settings: MotionEvaluation) -> list[SequenceEstimates]:
     """Estimates of a body that sways, with noise that the confidence knows nothing of."""
     rng = np.random.default_rng(0)
     base = BodyModel.load().shape(Phenotype()).pose(REST_POSTURE).joints.astype(np.float64)
@@ -118,7 +126,9 @@ def _tracks(settings: MotionEvaluation) -> list[Track]:
         joints = truth + rng.normal(0, 0.01, (settings.views, *truth.shape))
         confidence = np.ones(joints.shape[:3])
         tracks.append(
-            Track(f"sway {index}", np.round(np.arange(90) / FPS * 1e9).astype(int), truth, joints, confidence)
+            SequenceEstimates(
+                f"sway {index}", np.round(np.arange(90) / FPS * 1e9).astype(int), truth, joints, confidence
+            )
         )
     return tracks
 
@@ -128,8 +138,8 @@ def _binding(settings: MotionEvaluation) -> dict[str, Any]:
     return {k: v for k, v in plain_settings(settings).items() if k not in left_out}
 
 
-def _with_estimates(settings: MotionEvaluation) -> list[Track]:
-    store = TrackStore(settings.out, _binding(settings))
+def _with_estimates(settings: MotionEvaluation) -> list[SequenceEstimates]:
+    store = EstimateStore(settings.out, _binding(settings))
     for index, track in enumerate(tracks := _tracks(settings)):
         store.save(index, track)
     return tracks

@@ -11,8 +11,8 @@ from panoptic_files import DOME, camera, true_joints19, write_panoptic
 from depthmocap.body.skeleton import JOINTS as BODY_JOINTS
 from depthmocap.cli import main
 from depthmocap.datasets.annotated import AnnotatedSet
-from depthmocap.datasets.mhad import MHAD_JOINTS, MHAD_OURS
-from depthmocap.datasets.panoptic import PANOPTIC_JOINTS, PANOPTIC_OURS, PanopticSequence, PanopticSet
+from depthmocap.datasets.mhad import MHAD_CORRESPONDENCE, MHAD_JOINTS
+from depthmocap.datasets.panoptic import PANOPTIC_CORRESPONDENCE, PANOPTIC_JOINTS, PanopticSequence, PanopticSet
 from depthmocap.errors import InputError
 from depthmocap.evaluate import panoptic_protocol as panoptic
 from depthmocap.geometry.transforms import transform_points
@@ -61,8 +61,8 @@ def test_cameras_are_in_the_domes_world(untouched):
 
 
 def test_names():
-    assert len(PANOPTIC_JOINTS) == 19 and set(PANOPTIC_OURS) < set(PANOPTIC_JOINTS)
-    assert PANOPTIC_OURS["RWrist"] == "RHand" and PANOPTIC_OURS["BodyCenter"] == "Hip"
+    assert len(PANOPTIC_JOINTS) == 19 and set(PANOPTIC_CORRESPONDENCE) < set(PANOPTIC_JOINTS)
+    assert PANOPTIC_CORRESPONDENCE["RWrist"] == "RHand" and PANOPTIC_CORRESPONDENCE["BodyCenter"] == "Hip"
 
 
 def test_some_kinects_some_frames_and_sure_joints_only(folder):
@@ -149,7 +149,7 @@ class Scripted:
     """An estimator that finds the true joints of one frame after the other 4 cm to the side."""
 
     def __init__(self):
-        ours = [{o: t for t, o in MHAD_OURS.items()}[joint] for joint in BODY_JOINTS]
+        ours = [{o: t for t, o in MHAD_CORRESPONDENCE.items()}[joint] for joint in BODY_JOINTS]
         rows = [MHAD_JOINTS.index(joint) for joint in ours]
         self._frames = iter(JOINTS[:, rows] @ DOME + [0.04, 0.0, 0.0])
 
@@ -163,9 +163,9 @@ def test_known_distances_are_the_errors(untouched, tmp_path, monkeypatch, capsys
     files = [tmp_path / name for name in ("n.json", "n.csv")]
     assert main(["evaluate", "panoptic", str(untouched), f"--json={files[0]}", f"--csv={files[1]}"]) == 0
     numbers = json.loads(files[0].read_text())["CMU Panoptic"]
-    assert numbers["frames"] == 4 and set(numbers["joints"]) == set(PANOPTIC_OURS)
+    assert numbers["frames"] == 4 and set(numbers["joints"]) == set(PANOPTIC_CORRESPONDENCE)
     assert numbers["mean_joint_error_cm"] == pytest.approx(4, abs=1e-3)
     assert numbers["per_joint_error_cm"]["LAnkle"] == pytest.approx(4, abs=1e-3)
-    assert files[1].read_text().count("\n") == 1 + len(PANOPTIC_OURS)
+    assert files[1].read_text().count("\n") == 1 + len(PANOPTIC_CORRESPONDENCE)
     assert main(["evaluate", "panoptic", str(tmp_path)]) == 2
     assert "kcalibration_<sequence>.json" in capsys.readouterr().err

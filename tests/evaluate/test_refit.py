@@ -5,13 +5,13 @@ import pytest
 
 from depthmocap import InputError
 from depthmocap.body.skeleton import JOINT_INDEX
-from depthmocap.evaluate.labelled_frames import Observations
+from depthmocap.evaluate.estimated_frames import EstimatedFrames
 from depthmocap.evaluate.protocol import comparable, leave_one_out, measure_estimates
 from depthmocap.evaluate.refit import fit_joints
 from depthmocap.pose.parts import BodyFrame, yaw_matrix
 
 NAMES = ("Head", "Navel", "RHand", "Tail")
-OURS = {"Head": "Head", "RHand": "RHand"}
+CORRESPONDENCE = {"Head": "Head", "RHand": "RHand"}
 #: In the body's frame: ahead of our head; between two joints; our right hand as it is.
 AHEAD_M = np.array([0.05, 0.0, 0.02])
 
@@ -33,8 +33,8 @@ def observations(n=60, noise_m=0.0, seed=0):
         ],
         1,
     )
-    return Observations(
-        "made", NAMES, OURS, frame.to_world(body), np.full((n, 18), 0.5), frame.to_world(centres), frame,
+    return EstimatedFrames(
+        "made", NAMES, CORRESPONDENCE, frame.to_world(body), np.full((n, 18), 0.5), frame.to_world(centres), frame,
         frame.to_world(truth + rng.normal(0, noise_m, truth.shape)),
         np.array([f"p{i % 3}" for i in range(n)]), np.array(["walk" if i < n // 2 else "run" for i in range(n)]),
         np.full(n, 5.0),

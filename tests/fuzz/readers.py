@@ -172,17 +172,17 @@ def _read_ridge(folder: Path) -> None:
 
 
 def _tracks(folder: Path) -> None:
-    from depthmocap.evaluate.sequences import Track, TrackStore
+    from depthmocap.evaluate.estimated_sequences import EstimateStore, SequenceEstimates
 
     stamps = START + PERIOD * np.arange(3)
-    track = Track("a", stamps, np.zeros((3, 18, 3)), np.zeros((2, 3, 18, 3)), np.ones((2, 3, 18)))
-    TrackStore(folder, {"seed": 1}).save(0, track)
+    track = SequenceEstimates("a", stamps, np.zeros((3, 18, 3)), np.zeros((2, 3, 18, 3)), np.ones((2, 3, 18)))
+    EstimateStore(folder, {"seed": 1}).save(0, track)
 
 
 def _read_tracks(folder: Path) -> None:
-    from depthmocap.evaluate.sequences import TrackStore
+    from depthmocap.evaluate.estimated_sequences import EstimateStore
 
-    track = TrackStore(folder, {"seed": 1}).load(0)
+    track = EstimateStore(folder, {"seed": 1}).load(0)
     assert track is None or len(track.poses(2)) == len(track.timestamps_ns)
 
 

@@ -48,8 +48,8 @@ class AnnotatedSet(Protocol):
         ...
 
     @property
-    def ours(self) -> Mapping[str, str]:
-        """For some of these names, the joint of ``body.skeleton.JOINTS`` that is nearest to it in the body."""
+    def correspondence(self) -> Mapping[str, str]:
+        """Some of these names, with the nearest joint of ``body.skeleton.JOINTS``."""
         ...
 
     @property

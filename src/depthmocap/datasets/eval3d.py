@@ -95,7 +95,7 @@ class Eval:
         if unknown := [number for number in ids if number not in table]:
             self._problems[f"joints of the ids {', '.join(map(str, unknown))} have no name and are left out"] = None
         self.joints: tuple[str, ...] = tuple(table[number] for number in self._ids)
-        self.ours: dict[str, str] = {name: name for name in self.joints if name in JOINT_INDEX}
+        self.correspondence: dict[str, str] = {name: name for name in self.joints if name in JOINT_INDEX}
 
     @property
     def problems(self) -> list[str]:

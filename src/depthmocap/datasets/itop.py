@@ -37,7 +37,7 @@ JOINTS: tuple[str, ...] = (
     "RHip", "LHip", "RKnee", "LKnee", "RFoot", "LFoot",
 )  # fmt: skip
 #: Our joint for each of them.
-OURS: dict[str, str] = {joint: "Spine1" if joint == "Torso" else joint for joint in JOINTS}
+CORRESPONDENCE: dict[str, str] = {joint: "Spine1" if joint == "Torso" else joint for joint in JOINTS}
 #: The parts that are reported apart.
 PARTS: dict[str, tuple[str, ...]] = {"upper body": JOINTS[:8], "lower body": JOINTS[8:]}
 
@@ -72,7 +72,7 @@ class Itop:
             InputError: when a file is missing, cut short, or not of this layout, or no frame is valid.
         """
         self.name = f"ITOP {view} {split}"
-        self.joints, self.ours = JOINTS, OURS
+        self.joints, self.correspondence = JOINTS, CORRESPONDENCE
         self.up, self.fps = _UP[view], FPS
         self._camera, self._mask = camera(view), mask
         # Ordered sets: reading a frame twice reports it once.

@@ -46,7 +46,7 @@ MHAD_JOINTS = (
 _LIMB = len(_ARM)
 _ENDS = range(_LIMB - 1, len(MHAD_JOINTS), _LIMB)
 #: Our joint nearest to one of theirs.
-MHAD_OURS = {
+MHAD_CORRESPONDENCE = {
     "Hips": "Hip", "Spine1": "Spine", "Spine2": "Spine1", "Spine3": "Spine2", "Neck": "Neck", "Head": "Head",
     **{side + joint: side + ours for side in "RL" for joint, ours in (
         ("Shoulder", "Shoulder"), ("Elbow", "Elbow"), ("Hand", "Hand"), ("Hip", "Hip"), ("Knee", "Knee"),
@@ -104,7 +104,7 @@ class MhadSet:
 
     name = "Berkeley MHAD"
     joints = MHAD_JOINTS
-    ours = MHAD_OURS
+    correspondence = MHAD_CORRESPONDENCE
     up = "y"
 
     def __init__(

@@ -36,7 +36,7 @@ PANOPTIC_JOINTS = (
     "RShoulder", "RElbow", "RWrist", "RHip", "RKnee", "RAnkle", "LEye", "LEar", "REye", "REar",
 )  # fmt: skip
 #: Our joint nearest to one of theirs.
-PANOPTIC_OURS = {
+PANOPTIC_CORRESPONDENCE = {
     "Neck": "Neck", "BodyCenter": "Hip",
     **{side + theirs: side + ours for side in "RL" for theirs, ours in (
         ("Shoulder", "Shoulder"), ("Elbow", "Elbow"), ("Wrist", "Hand"), ("Hip", "Hip"), ("Knee", "Knee"),
@@ -66,7 +66,7 @@ class PanopticSet:
 
     name = "CMU Panoptic"
     joints = PANOPTIC_JOINTS
-    ours = PANOPTIC_OURS
+    correspondence = PANOPTIC_CORRESPONDENCE
     up = "-y"
 
     def __init__(

@@ -1,5 +1,7 @@
-"""``depthmocap evaluate bench``: the project's own test sets, made anew from their recipes, so that numbers can be
-followed over time by anyone with the same clips, or with none (then from the packaged posture prior)."""
+"""``depthmocap evaluate bench``: the project's own test sets, generated from their recipes.
+
+Anyone with the same clips can make the same sets; without clips the postures come from the packaged prior.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,8 @@ from depthmocap.core.cores import usable_cores
 from depthmocap.core.locks import owns
 from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
+from depthmocap.evaluate.accuracy import Labels, check_views, measure_accuracy, print_numbers
 from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, write_outputs
-from depthmocap.evaluate.synthetic import Labels, check_views, measure, print_numbers
 from depthmocap.frames import FrameSet
 from depthmocap.geometry import DepthCamera
 from depthmocap.pose.estimators import load_estimator
@@ -31,22 +33,23 @@ from depthmocap.synth.writing.stream import stream
 
 @dataclasses.dataclass(frozen=True)
 class BenchEvaluation(Outputs):
-    """Accuracy of labels and joints on the project's own test sets: people of all builds in clothes, any sensor with
-    its errors, cameras anywhere around; then clothes and a sensor that training never shows, and people who sit
-    or lay hands on themselves.
+    """Accuracy of labels and joints on the project's own test sets.
+
+    People of all builds in clothes, any sensor with its errors, cameras anywhere around; clothes and a sensor that
+    training never shows; and people who sit or lay their hands on themselves.
 
     Attributes:
         postures: folder of motion capture clips, or a pool made of them, of which the test split is taken; without it
             postures come from the packaged prior (an easier set, not disjoint from training: bench-prior).
-        samples: postures a set.
-        sets: which of them.
-        views: cameras that look at each posture.
+        samples: postures per set.
+        sets: names of the sets.
+        views: cameras around each posture.
         labels: "network" runs the classifier; "true" gives the pose stage the true labels, its floor.
         weights: a classifier.onnx of your own.
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
-        misplaced_mm: so far from where it says each camera stands, in any direction.
-        misplaced_deg: and so much it is turned, about any axis.
-        workers: processes that make the pictures.
+        misplaced_mm: error of each camera's position, in a random direction.
+        misplaced_deg: error of each camera's rotation, about a random axis.
+        workers: processes that make the images.
     """
 
     postures: Path | None = None
@@ -70,7 +73,7 @@ def _frames(recipe: Recipe, settings: BenchEvaluation) -> Iterator[FrameSet]:
 
 
 def _misplaced(camera: DepthCamera, settings: BenchEvaluation, rng: np.random.Generator) -> DepthCamera:
-    """A camera that is not quite where it says."""
+    """The camera with a random error of its pose."""
     shift, axis = (direction / np.linalg.norm(direction) for direction in rng.normal(size=(2, 3)))
     pose = camera.world_from_camera.copy()
     pose[:3, :3] = Rotation.from_rotvec(axis * np.radians(settings.misplaced_deg)).as_matrix() @ pose[:3, :3]
@@ -80,7 +83,7 @@ def _misplaced(camera: DepthCamera, settings: BenchEvaluation, rng: np.random.Ge
 
 @owns(files=FILES)
 def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) -> dict[str, Any]:
-    """Make and measure the sets; returns their numbers by name. Samples are independent, nothing is smoothed.
+    """Make and measure_accuracy the sets; returns their numbers by name. Samples are independent, nothing is smoothed.
 
     Raises:
         InputError: a set that does not exist, a number out of range, or clips, weights or regressors that cannot be
@@ -103,12 +106,15 @@ def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) ->
         recipe = dataclasses.replace(BENCH[name], postures=settings.postures, views=settings.views)
         with Progress(console=console) as progress:
             frames = progress.track(_frames(recipe, settings), settings.samples, description=name)
-            found = measure(frames, settings.views, estimator, classifier)
-        assert found is not None  # every sample has labels and joints
-        numbers[name] = {"recipe": plain_settings(recipe), "seed": settings.seed, "clips": clips, **found}
-        print_numbers(f"bench, {name}", found, console)
-    kept = about(settings)
+            result = measure_accuracy(frames, settings.views, estimator, classifier)
+        assert result is not None  # every sample has labels and joints
+        numbers[name] = {"recipe": plain_settings(recipe), "seed": settings.seed, "clips": clips, **result}
+        print_numbers(f"bench, {name}", result, console)
+    settings_kept = about(settings)
     write_outputs(
-        settings, "Our own test sets", {name: {"about": kept, **each} for name, each in numbers.items()}, numbers
+        settings,
+        "Our own test sets",
+        {name: {"about": settings_kept, **result} for name, result in numbers.items()},
+        numbers,
     )
     return numbers

@@ -18,12 +18,12 @@ from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import MEASURE_KEYS, Numbers, measures
 from depthmocap.exporting.summary import Summary, check_summary
 
-#: What tells a set: two results may be compared only where these agree.
-_OF_THE_SET = ("subset", "split", "frames", "joints", "seed", "clips")
-#: How it was measured, which may differ.
-_HOW = ("data", "views", "labels", "weights", "estimator")
-#: Settings of a recipe that tell where its postures lie on a disk, not what they are.
-_OF_THE_DISK = ("postures",)
+#: Keys that identify a set: two results may be compared only where these agree.
+_SET_KEYS = ("subset", "split", "frames", "joints", "seed", "clips")
+#: Keys of the method, which may differ.
+_METHOD_KEYS = ("data", "views", "labels", "weights", "estimator")
+#: Settings of a recipe that are paths on a disk.
+_PATH_KEYS = ("postures",)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,7 +47,7 @@ def load_results(path: Path) -> Mapping[str, Numbers]:
     """
     document = read_json(path, "give a file that an evaluation wrote with --json")
     if isinstance(document, dict) and "schema" in document:
-        document = _of_summary(path, check_summary(path, document))
+        document = _from_summary(path, check_summary(path, document))
     if isinstance(document, dict) and "mean_joint_error_cm" in document:  # of one set, such as UBC3V's
         document = {f"{document.get('subset', 'all')}/{document.get('split', 'all')}": document}
     if not isinstance(document, dict) or not document or not all(map(_is_result, document.values())):
@@ -59,8 +59,8 @@ def load_results(path: Path) -> Mapping[str, Numbers]:
     return document
 
 
-def _of_summary(path: Path, summary: Summary) -> dict[str, Numbers]:
-    """The errors of a take, as an evaluation tells them."""
+def _from_summary(path: Path, summary: Summary) -> dict[str, Numbers]:
+    """The errors in a summary, with the keys of an evaluation."""
     if summary["error"] is None:
         raise InputError(f"{path} tells no errors: the true joints of {', '.join(summary['sources'])} are not known")
     numbers = {
@@ -101,7 +101,7 @@ def compare(settings: Comparison, console: Console | None = None) -> dict[str, d
         rows = {words + (f" ({unit})" if unit else ""): (value, theirs[words][0])
                 for words, (value, unit) in ours.items() if words in theirs}  # fmt: skip
         values[name] = {words: (_number(x), _number(y)) for words, (x, y) in (rows | joints).items()}
-        for key, x, y in ((key, _told(a[name], key), _told(b[name], key)) for key in _HOW):
+        for key, x, y in ((key, _setting(a[name], key), _setting(b[name], key)) for key in _METHOD_KEYS):
             if x != y:
                 console.print(f"{key} of {name}: {x} in A, {y} in B", soft_wrap=True)
         table = Table(title=name)
@@ -116,26 +116,26 @@ def compare(settings: Comparison, console: Console | None = None) -> dict[str, d
 
 
 def _check_same(settings: Comparison, a: Mapping[str, Numbers], b: Mapping[str, Numbers]) -> None:
-    where = f"{settings.a} and {settings.b} are of different sets"
+    message = f"{settings.a} and {settings.b} are of different sets"
     if set(a) != set(b):
-        raise InputError(f"{where}: {', '.join(a)}; {', '.join(b)}")
+        raise InputError(f"{message}: {', '.join(a)}; {', '.join(b)}")
     for name in a:
         if list(a[name]["per_joint_error_cm"]) != list(b[name]["per_joint_error_cm"]):
-            raise InputError(f"{where}: {name} has {_joints(a[name])} in A, {_joints(b[name])} in B")
-        pairs = [(key, a[name].get(key), b[name].get(key)) for key in _OF_THE_SET]
+            raise InputError(f"{message}: {name} has {_joints(a[name])} in A, {_joints(b[name])} in B")
+        pairs = [(key, a[name].get(key), b[name].get(key)) for key in _SET_KEYS]
         recipes = [numbers.get("recipe") or {} for numbers in (a[name], b[name])]
         keys = sorted(set(recipes[0]) | set(recipes[1]))
-        pairs += [(key, *(recipe.get(key) for recipe in recipes)) for key in keys if key not in _OF_THE_DISK]
+        pairs += [(key, *(recipe.get(key) for recipe in recipes)) for key in keys if key not in _PATH_KEYS]
         for key, x, y in pairs:
             if x != y:
-                raise InputError(f"{where}: {key} of {name} is {_short(x)} in A, {_short(y)} in B")
+                raise InputError(f"{message}: {key} of {name} is {_short(x)} in A, {_short(y)} in B")
         # Results of earlier versions lack it.
         true = {numbers.get("true_joints") for numbers in (a[name], b[name])} - {None}
         if len(true) > 1:
-            raise InputError(f"{where}: the true joints of {name} differ")
+            raise InputError(f"{message}: the true joints of {name} differ")
 
 
-def _told(numbers: Numbers, key: str) -> Any:
+def _setting(numbers: Numbers, key: str) -> Any:
     value = numbers.get(key, (numbers.get("about") or {}).get(key))
     return "the packaged ones" if key == "weights" and value is None else value
 

@@ -76,18 +76,20 @@ def depth_statistics(
         residual, distance = _noise(depth)
         residuals.append(residual)
         distances.append(distance)
-    counted, _ = np.histogram(np.concatenate(steps), STEPS_M)
-    total, residual, distance = max(int(counted.sum()), 1), np.concatenate(residuals), np.concatenate(distances)
+    step_counts, _ = np.histogram(np.concatenate(steps), STEPS_M)
+    total, residual, distance = max(int(step_counts.sum()), 1), np.concatenate(residuals), np.concatenate(distances)
     classes = np.digitize(distance, DISTANCES_M) - 1
     noise = [residual[classes == k] for k in range(len(DISTANCES_M) - 1)]
     return DepthStatistics(
         silhouette_px=edges,
-        step_share=counted / total,
-        steps_per_px=float(counted.sum() / max(edges, 1)),
+        step_share=step_counts / total,
+        steps_per_px=float(step_counts.sum() / max(edges, 1)),
         stray_share=strays / max(edges, 1),
         hole_share=holes / max(valid, 1),
         gap_px=(_mean(np.concatenate(near_left)), _mean(np.concatenate(near_right))),
-        noise_m=np.array([np.median(each) if len(each) >= 20 else np.nan for each in noise]),
+        noise_m=np.array(
+            [np.median(residuals_of_class) if len(residuals_of_class) >= 20 else np.nan for residuals_of_class in noise]
+        ),
     )
 
 
@@ -136,10 +138,10 @@ def _gaps(depth: Float[ndarray, "h w"]) -> tuple[Float[ndarray, "_"], Float[ndar
     rows, columns = np.nonzero(depth > 0)
     z = depth[rows, columns]
     width = np.diff(columns) - 1
-    found = (np.diff(rows) == 0) & (width > 0) & (width <= 30)
+    is_gap = (np.diff(rows) == 0) & (width > 0) & (width <= 30)
     step = np.diff(z) / z[:-1]
-    left = width[found & (step > 3 * _EDGE_SHARE)].astype(np.float64)
-    right = width[found & (step < -3 * _EDGE_SHARE)].astype(np.float64)
+    left = width[is_gap & (step > 3 * _EDGE_SHARE)].astype(np.float64)
+    right = width[is_gap & (step < -3 * _EDGE_SHARE)].astype(np.float64)
     return left, right
 
 

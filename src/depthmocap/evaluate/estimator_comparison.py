@@ -72,23 +72,23 @@ def compare_estimators(settings: EstimatorComparison, console: Console | None = 
     """
     console = console or Terminal(stderr=True)
     samples = read_samples(settings.samples, PoseSamples(views=settings.views))
-    out = set(np.unique(samples.groups)[grouped_folds(np.unique(samples.groups), settings.folds) == 0].tolist())
+    held_out = set(np.unique(samples.groups)[grouped_folds(np.unique(samples.groups), settings.folds) == 0].tolist())
     numbers: dict[str, dict[str, dict[str, float]]] = {}
     for count in settings.views:
         features, joints, groups = samples.features[settings.labels, count]
-        kept_out = np.isin(groups, list(out))
-        if not kept_out.any() or kept_out.all():
+        test = np.isin(groups, list(held_out))
+        if not test.any() or test.all():
             raise InputError(f"{settings.samples}: too few clips with {count} views to keep some out")
-        if (learnt := int(np.count_nonzero(~kept_out))) < FEWEST_SAMPLES:
+        if (learnt := int(np.count_nonzero(~test))) < FEWEST_SAMPLES:
             raise InputError(f"{settings.samples}: {learnt} samples with {count} views to learn from are too few")
         for name, fit in (("ridge", _ridge), ("LASSO", _lasso), ("neural network", _perceptron)):
             with console.status(f"{name}, {count} views"):
-                predict = fit(features[~kept_out], joints[~kept_out], groups[~kept_out], settings)
-                found = predict(features[kept_out]).reshape(-1, *joints.shape[1:])
-            numbers.setdefault(name, {})[str(count)] = _summary(found, joints[kept_out])
+                predict = fit(features[~test], joints[~test], groups[~test], settings)
+                estimates = predict(features[test]).reshape(-1, *joints.shape[1:])
+            numbers.setdefault(name, {})[str(count)] = _summary(estimates, joints[test])
     if settings.minutes > 0:
-        numbers["votes"] = _votes(samples, out, settings, console)
-    result = {"labels": settings.labels, "samples": len(samples.joints), "clips_kept_out": len(out), **numbers}
+        numbers["votes"] = _votes(samples, held_out, settings, console)
+    result = {"labels": settings.labels, "samples": len(samples.joints), "clips_kept_out": len(held_out), **numbers}
     if settings.json is not None:
         write_json(settings.json, result)
     table = Table(title=f"joint error in cm (within 10 cm), {settings.labels} labels, {len(samples.joints)} samples")
@@ -102,8 +102,8 @@ def compare_estimators(settings: EstimatorComparison, console: Console | None = 
     return result
 
 
-def _summary(found: ndarray, truth: ndarray) -> dict[str, float]:
-    errors = np.linalg.norm(found - truth, axis=-1)
+def _summary(estimates: ndarray, truth: ndarray) -> dict[str, float]:
+    errors = np.linalg.norm(estimates - truth, axis=-1)
     return {"mean_joint_error_cm": float(errors.mean()) * 100, "within_10cm": float((errors <= 0.1).mean())}
 
 
@@ -128,7 +128,7 @@ def _lasso(features: ndarray, joints: ndarray, groups: ndarray, settings: Estima
     except ModuleNotFoundError:
         raise missing_extra("scikit-learn", "train") from None
     standardise = _standardiser(features, settings)
-    x, y = (each.reshape(len(joints), -1).astype(np.float64) for each in (standardise(features), joints))
+    x, y = (array.reshape(len(joints), -1).astype(np.float64) for array in (standardise(features), joints))
     centre = y.mean(0)
 
     def fit(rows: ndarray, strengths: Float[ndarray, "s"]) -> Float[ndarray, "s f o"]:
@@ -180,31 +180,31 @@ def _perceptron(features: ndarray, joints: ndarray, groups: ndarray, settings: E
 
 
 def _votes(
-    samples: Collected, out: set[int], settings: EstimatorComparison, console: Console
+    samples: Collected, held_out: set[int], settings: EstimatorComparison, console: Console
 ) -> dict[str, dict[str, float]]:
     """Trained on the other clips; measured on up to two random choices of cameras a sample, as the others are."""
     from depthmocap.pose.votes import run_votes, voting_session
     from depthmocap.train.train_votes import VotesTraining, train_votes
 
-    kept_out = np.isin(samples.groups, list(out))
+    test = np.isin(samples.groups, list(held_out))
     train = dataclasses.replace(
         samples,
-        parts={labels: parts[~kept_out] for labels, parts in samples.parts.items()},
-        joints=samples.joints[~kept_out],
-        groups=samples.groups[~kept_out],
+        parts={labels: parts[~test] for labels, parts in samples.parts.items()},
+        joints=samples.joints[~test],
+        groups=samples.groups[~test],
     )
     with tempfile.TemporaryDirectory() as folder:
         path = train_votes(train, VotesTraining(settings.minutes), settings.seed, Path(folder), console)
         session = voting_session(path)
-    parts, joints = samples.parts[settings.labels][kept_out], samples.joints[kept_out]
+    parts, joints = samples.parts[settings.labels][test], samples.joints[test]
     rng = np.random.default_rng(settings.seed)
-    found: dict[str, dict[str, float]] = {}
+    numbers: dict[str, dict[str, float]] = {}
     for count in settings.views:
-        chosen = np.concatenate([rng.random(parts.shape[:2]).argsort(1)[:, :count] for _ in range(2)])
-        seen = np.take_along_axis(np.concatenate([parts, parts]), chosen[:, :, None, None], 1)
+        cameras = np.concatenate([rng.random(parts.shape[:2]).argsort(1)[:, :count] for _ in range(2)])
+        observed = np.take_along_axis(np.concatenate([parts, parts]), cameras[:, :, None, None], 1)
         truth = np.concatenate([joints, joints])
-        usable = (seen[..., 0] > 0).any((1, 2))
-        frame = body_frame(seen[usable])
-        estimates, _ = run_votes(session, network_inputs(seen[usable], frame)[0])
-        found[str(count)] = _summary(estimates, frame.from_world(truth[usable]))
-    return found
+        usable = (observed[..., 0] > 0).any((1, 2))
+        frame = body_frame(observed[usable])
+        estimates, _ = run_votes(session, network_inputs(observed[usable], frame)[0])
+        numbers[str(count)] = _summary(estimates, frame.from_world(truth[usable]))
+    return numbers

@@ -13,8 +13,8 @@ from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import owns
 from depthmocap.datasets.eval3d import Eval, Mask, joint_table
+from depthmocap.evaluate.estimated_frames import estimate_frames
 from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
-from depthmocap.evaluate.labelled_frames import observe
 from depthmocap.evaluate.protocol import Refit, comparable, leave_one_out, measure_estimates
 from depthmocap.pose.estimators import load_estimator
 
@@ -53,10 +53,12 @@ def evaluate_eval(settings: EvalEvaluation, console: Console | None = None) -> d
     console = console or Terminal(stderr=True)
     names = joint_table(settings.names) if settings.names is not None else None
     source = Eval(settings.root, names, settings.mask)
-    found = observe(source, load_estimator(settings.estimator), Classifier(settings.weights), settings.every, console)
-    found = comparable(found, settings.refit)
-    estimates = leave_one_out(found, found.subjects, settings.refit)
-    results = {"EVAL": {"about": about(settings), **measure_estimates(found, estimates)}}
+    frames = estimate_frames(
+        source, load_estimator(settings.estimator), Classifier(settings.weights), settings.every, console
+    )
+    frames = comparable(frames, settings.refit)
+    estimates = leave_one_out(frames, frames.subjects, settings.refit)
+    results = {"EVAL": {"about": about(settings), **measure_estimates(frames, estimates)}}
     write_outputs(settings, "EVAL", results)
     print_results("EVAL", results, console)
     return results

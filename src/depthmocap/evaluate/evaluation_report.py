@@ -187,14 +187,14 @@ def _settings(by_result: Mapping[str, Mapping[str, Any]]) -> list[ReportTable]:
     """Settings that are set; one column where all results have the same."""
     columns = list(by_result.values())
     header = ("setting", *by_result)
-    if columns and all(each == columns[0] for each in columns):
+    if columns and all(column == columns[0] for column in columns):
         header, columns = ("setting", "value"), columns[:1]
     keys = [
         key
-        for key in dict.fromkeys(key for each in columns for key in each)
-        if any(each.get(key) is not None for each in columns)
+        for key in dict.fromkeys(key for column in columns for key in column)
+        if any(column.get(key) is not None for column in columns)
     ]
-    rows = [[key.replace("_", " "), *(_setting(each.get(key)) for each in columns)] for key in keys]
+    rows = [[key.replace("_", " "), *(_setting(column.get(key)) for column in columns)] for key in keys]
     return [ReportTable(header, rows)] if rows else []
 
 
@@ -240,7 +240,13 @@ def _section(name: str, numbers: Numbers, metrics: JointMetrics) -> ReportSectio
 
 def _groups(words: str, groups: Mapping[str, Numbers]) -> ReportTable:
     rows: list[list[Cell]] = [
-        [group, each["frames"], each["mean_joint_error_cm"], each["deviation_cm"], each["within_10cm"] * 100]
-        for group, each in groups.items()
+        [
+            group,
+            numbers["frames"],
+            numbers["mean_joint_error_cm"],
+            numbers["deviation_cm"],
+            numbers["within_10cm"] * 100,
+        ]
+        for group, numbers in groups.items()
     ]
     return ReportTable((words, "frames", "error (cm)", "deviation (cm)", "within 10 cm (%)"), rows)

@@ -13,8 +13,8 @@ from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import owns
 from depthmocap.datasets.itop import PARTS, Itop, Mask, Side
+from depthmocap.evaluate.estimated_frames import estimate_frames
 from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
-from depthmocap.evaluate.labelled_frames import observe
 from depthmocap.evaluate.protocol import Refit, comparable, measure_estimates
 from depthmocap.evaluate.refit import fit_joints
 from depthmocap.pose.estimators import load_estimator
@@ -57,11 +57,11 @@ def evaluate_itop(settings: ItopEvaluation, console: Console | None = None) -> d
     classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)
     joint_map = None
     if train is not None:
-        joint_map = fit_joints(observe(train, estimator, classifier, settings.every, console))
-    found = comparable(observe(test, estimator, classifier, settings.every, console), settings.refit)
-    estimates = found.mapped() if joint_map is None else joint_map(found)
+        joint_map = fit_joints(estimate_frames(train, estimator, classifier, settings.every, console))
+    frames = comparable(estimate_frames(test, estimator, classifier, settings.every, console), settings.refit)
+    estimates = frames.mapped() if joint_map is None else joint_map(frames)
     name = f"ITOP {settings.view}"
-    results = {name: {"about": about(settings), **measure_estimates(found, estimates, PARTS)}}
+    results = {name: {"about": about(settings), **measure_estimates(frames, estimates, PARTS)}}
     write_outputs(settings, name, results)
     print_results(name, results, console)
     return results

@@ -83,7 +83,7 @@ def _square_around(mask: Bool[ndarray, "h w"]) -> tuple[int, int, int]:
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     if not len(rows):
         return 0, 0, max(mask.shape)
-    top, bottom, left, right = (int(each) for each in (rows[0], rows[-1], columns[0], columns[-1]))
+    top, bottom, left, right = (int(edge) for edge in (rows[0], rows[-1], columns[0], columns[-1]))
     side = round(1.08 * max(bottom - top, right - left) + 3)
     return (left + right - side) // 2, (top + bottom - side) // 2, side
 

@@ -41,9 +41,9 @@ PARTS = tuple(_PARTS)
 #: By part, true region and predicted region: 1 where the true one is of the part, and where they are swapped.
 _OF_PART, _SWAPPED = np.zeros((2, len(PARTS), REGION_COUNT + 1, REGION_COUNT + 1), dtype=np.int64)
 for _part, _groups in enumerate(_PARTS.values()):
-    for _own, _opposite in _groups:
-        _OF_PART[_part, _own] = 1
-        _SWAPPED[_part][np.ix_(_own, _opposite)] = 1
+    for _group, _opposite in _groups:
+        _OF_PART[_part, _group] = 1
+        _SWAPPED[_part][np.ix_(_group, _opposite)] = 1
 #: A part of which a window shows fewer labelled pixels is not judged.
 LEAST_PIXELS = 60
 
@@ -74,7 +74,7 @@ class PartSwaps:
         classes = REGION_COUNT + 1
         pairs = labels_true[counted].astype(np.int64) * classes + labels_predicted[counted]
         confusion = np.bincount(pairs, minlength=classes**2).reshape(classes, classes)
-        total, opposite = ((each * confusion).sum((1, 2)) for each in (_OF_PART, _SWAPPED))
+        total, opposite = ((table * confusion).sum((1, 2)) for table in (_OF_PART, _SWAPPED))
         shown = total >= LEAST_PIXELS
         swapped = shown & (2 * opposite > total)
         self.views += 1

@@ -79,21 +79,21 @@ class LabelQuality:
         """Label and count views with masks and labels; returns them for pictures."""
         masks = [view.mask for view in views if view.mask is not None]
         examples: list[LabelExample] = []
-        for view, mask, found in zip(views, masks, classifier.label_masks(views, masks), strict=True):
+        for view, mask, result in zip(views, masks, classifier.label_masks(views, masks), strict=True):
             assert view.labels is not None
-            if found.window is None or found.in_window is None:
+            if result.window is None or result.in_window is None:
                 self.empty += 1
                 continue
-            examples.append((view.depth_m, mask, view.labels, found.found.labels))
-            truth = found.window.labels_from_image(view.labels, UNLABELLED)
+            examples.append((view.depth_m, mask, view.labels, result.found.labels))
+            truth = result.window.labels_from_image(view.labels, UNLABELLED)
             # All of the person counts, also what the window leaves out as stray: it goes without a label.
-            inside = found.window.labels_from_image((mask & (view.depth_m > 0)).astype(np.uint8)) > 0
+            inside = result.window.labels_from_image((mask & (view.depth_m > 0)).astype(np.uint8)) > 0
             inside &= (truth >= 1) & (truth <= REGION_COUNT)
-            true, predicted = truth[inside], found.in_window.labels[inside]
+            true, predicted = truth[inside], result.in_window.labels[inside]
             self.accuracy.add(true, predicted)
             self.swaps.add(true, predicted)
-            self.borders.add(truth, found.in_window.labels, inside)
-            self.calibration.add(found.in_window.confidence[inside], true == predicted)
+            self.borders.add(truth, result.in_window.labels, inside)
+            self.calibration.add(result.in_window.confidence[inside], true == predicted)
         return examples
 
     def numbers(self) -> dict[str, Any]:

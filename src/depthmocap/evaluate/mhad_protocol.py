@@ -1,8 +1,8 @@
 """``depthmocap evaluate mhad``: the paper's evaluation on real depth (Sec. V-B), and its comparison with Michel et al.
 
-Everybody is tested by a fit to everybody else (leave one subject out), over all 35 joints and over the 29 that others
-report, with all frames and without those whose true hands lie outside the cloud: the paper notes that the marker
-system errs there. For Michel's joints the fit leaves out one subject, or one action, at a time.
+Each person is tested with a fit to all others (leave one subject out), over all 35 joints and over the 29 that others
+report. The numbers are over all frames, and over those whose true hands lie in the cloud: the paper notes that the
+marker system errs in the others. For Michel's joints the fit leaves out one subject, or one action, at a time.
 """
 
 from __future__ import annotations
@@ -25,14 +25,15 @@ from depthmocap.core.reading.json_text import read_json
 from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet
 from depthmocap.datasets.mhad import MHAD_JOINTS, MhadSet
 from depthmocap.errors import InputError
+from depthmocap.evaluate.estimated_frames import EstimatedFrames, estimate_frames
 from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
-from depthmocap.evaluate.labelled_frames import Observations, observe
 from depthmocap.evaluate.protocol import Refit, comparable, leave_one_out, measure_estimates
 from depthmocap.geometry.transforms import transform_points
 from depthmocap.pose.estimators import JointEstimator, load_estimator
 from depthmocap.report.metrics import joint_errors_cm
 
-#: A true hand is in the cloud if a point of it is this near: the breadth of a hand, and the error of both systems.
+#: A true hand is in the cloud if a point is within this distance, metres: the breadth of a hand plus the error of both
+#: systems.
 HAND_REACH_M = 0.12
 _HANDS = [MHAD_JOINTS.index(f"{side}{joint}") for side in "RL" for joint in ("Hand", "HandEnd")]
 
@@ -72,25 +73,25 @@ class MhadEvaluation(Outputs):
     estimator: str = "votes"
 
 
-class HandWatch:
-    """A set that passes another's frames on, and keeps for each whether the true hands are in the cloud."""
+class HandVisibility:
+    """A set that passes the frames of another set on, and records for each whether the true hands are in the cloud."""
 
     def __init__(self, source: AnnotatedSet) -> None:
-        self.name, self.joints, self.ours, self.up, self.fps = (
-            source.name, source.joints, source.ours, source.up, source.fps,
+        self.name, self.joints, self.correspondence, self.up, self.fps = (
+            source.name, source.joints, source.correspondence, source.up, source.fps,
         )  # fmt: skip
         self._source = source
-        self.seen: list[bool] = []
+        self.in_cloud: list[bool] = []
 
     @property
     def problems(self) -> list[str]:
-        """See ``AnnotatedSet``."""
+        """As in ``AnnotatedSet``."""
         return self._source.problems
 
     def __iter__(self) -> Iterator[AnnotatedFrame]:
-        self.seen.clear()
+        self.in_cloud.clear()
         for frame in self._source:
-            self.seen.append(hands_in_cloud(frame))
+            self.in_cloud.append(hands_in_cloud(frame))
             yield frame
 
 
@@ -107,11 +108,16 @@ def hands_in_cloud(frame: AnnotatedFrame) -> bool:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MhadResults:
-    """Numbers by the name of the protocol; and what was found, and the estimates of all joints with each person left
-    out, for pictures."""
+    """Results of all protocols.
+
+    Attributes:
+        numbers: by the name of the protocol.
+        frames: the frames, with the estimates of our joints.
+        estimates: the set's joints by a fit to all other people.
+    """
 
     numbers: dict[str, dict[str, Any]]
-    observed: Observations
+    frames: EstimatedFrames
     estimates: Float[ndarray, "n j 3"]
 
 
@@ -128,34 +134,34 @@ def measure_mhad(
     Raises:
         InputError: when no frame can be evaluated, or there is nobody else to fit to.
     """
-    watch = HandWatch(source)
-    found = comparable(observe(watch, estimator, classifier, 1, console), refit)
-    hands = np.array(watch.seen)
-    everybody = np.ones(len(found), bool)
-    estimates = leave_one_out(found, found.subjects, refit)
+    visibility = HandVisibility(source)
+    frames = comparable(estimate_frames(visibility, estimator, classifier, 1, console), refit)
+    hands = np.array(visibility.in_cloud)
+    everybody = np.ones(len(frames), bool)
+    estimates = leave_one_out(frames, frames.subjects, refit)
     numbers: dict[str, dict[str, Any]] = {}
     for table in (MHAD_JOINTS, tables["reliable"]):
-        joints = tuple(joint for joint in found.joints if joint in table)
-        for words, rows in (("", everybody), (", hands in the cloud", hands)):
+        joints = tuple(joint for joint in frames.joints if joint in table)
+        for kind, rows in (("", everybody), (", hands in the cloud", hands)):
             if joints and rows.any():
-                numbers[f"{len(joints)} joints{words}"] = _measure(found, estimates, joints, rows)
+                numbers[f"{len(joints)} joints{kind}"] = _measure(frames, estimates, joints, rows)
     problems = []
     if not hands.any():
         problems.append(f"in none of {len(hands)} frames are all true hands in the cloud: not evaluated apart")
-    michel = tuple(joint for joint in found.joints if joint in tables["michel"])
-    for words, groups in (("subjects", found.subjects), ("actions", found.actions)):
+    michel = tuple(joint for joint in frames.joints if joint in tables["michel"])
+    for kind, groups in (("subjects", frames.subjects), ("actions", frames.actions)):
         if len(np.unique(groups)) < 2:
-            problems.append(f"only one of the {words} is there: nothing is left out by {words}")
+            problems.append(f"only one of the {kind} is there: nothing is left out by {kind}")
         elif michel:
-            part = found.only(michel)
-            numbers[f"Michel's joints, {words}"] = _measure(part, leave_one_out(part, groups, refit), michel, everybody)
-    for each in numbers.values():
-        each["problems"] = [*each["problems"], *problems]
-    return MhadResults(numbers, found, estimates)
+            part = frames.only(michel)
+            numbers[f"Michel's joints, {kind}"] = _measure(part, leave_one_out(part, groups, refit), michel, everybody)
+    for result in numbers.values():
+        result["problems"] = [*result["problems"], *problems]
+    return MhadResults(numbers, frames, estimates)
 
 
 def _measure(
-    observed: Observations, estimates: Float[ndarray, "n j 3"], joints: tuple[str, ...], rows: Bool[ndarray, "n"]
+    observed: EstimatedFrames, estimates: Float[ndarray, "n j 3"], joints: tuple[str, ...], rows: Bool[ndarray, "n"]
 ) -> dict[str, Any]:
     columns = [observed.joints.index(joint) for joint in joints]
     part, chosen = observed.only(joints).rows(rows), estimates[rows][:, columns]

@@ -23,8 +23,8 @@ from depthmocap.core.locks import owns
 from depthmocap.core.output import check_outputs, write_json
 from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
-from depthmocap.evaluate.moving import FPS, clip_motions, moving_frames, prior_motions
-from depthmocap.evaluate.sequences import Track, TrackStore, estimate_track
+from depthmocap.evaluate.estimated_sequences import EstimateStore, SequenceEstimates, estimate_sequence
+from depthmocap.evaluate.moving_people import FPS, clip_motions, moving_frames, prior_motions
 from depthmocap.evaluate.temporal_metrics import TemporalMetrics, temporal_metrics
 from depthmocap.frames import Pose
 from depthmocap.pose.estimators import load_estimator
@@ -36,7 +36,7 @@ from depthmocap.synth.sample import Split
 from depthmocap.synth.sensing.sensors import find_sensor
 
 #: Settings that the estimates do not depend on, or that only tell how many there are.
-_NOT_BINDING = ("out", "sequences", "sides_wrong", "out_of_step_ms", "lag_frames", "json", "report")
+_FREE_SETTINGS = ("out", "sequences", "sides_wrong", "out_of_step_ms", "lag_frames", "json", "report")
 #: Columns of the table: field, heading, digits.
 _COLUMNS = (
     ("mean_joint_error_cm", "error cm", 2),
@@ -111,17 +111,17 @@ def evaluate_motion(settings: MotionEvaluation, console: Console | None = None) 
         InputError: clips, weights or sensors that cannot be read, or estimates in ``out`` of other settings.
     """
     console = console or Terminal(stderr=True)
-    tracks = make_tracks(settings, console)
+    sequences = make_estimates(settings, console)
     numbers: dict[str, Any] = {
         "settings": plain_settings(settings),
-        "sequences": [track.name for track in tracks],
-        "frames": sum(len(track.truth) for track in tracks),
+        "sequences": [sequence.name for sequence in sequences],
+        "frames": sum(len(sequence.truth) for sequence in sequences),
     }
     for views in sorted({1, settings.views}):
-        numbers[f"views {views}"] = _all_filters(tracks, views, settings, "", console)
+        numbers[f"views {views}"] = _all_filters(sequences, views, settings, "", console)
     if settings.out_of_step_ms:
         title = f"out of step by up to {settings.out_of_step_ms:g} ms"
-        off = make_tracks(settings, console, settings.out_of_step_ms)
+        off = make_estimates(settings, console, settings.out_of_step_ms)
         rows = numbers["out of step"] = _all_filters(off, settings.views, settings, f", {title}", console)
         growth = numbers["out of step, growth"] = {
             name: row["mean_joint_error_cm"] / numbers[f"views {settings.views}"][name]["mean_joint_error_cm"] - 1
@@ -137,14 +137,14 @@ def evaluate_motion(settings: MotionEvaluation, console: Console | None = None) 
 
 
 def _all_filters(
-    tracks: Sequence[Track], views: int, settings: MotionEvaluation, title: str, console: Console
+    sequences: Sequence[SequenceEstimates], views: int, settings: MotionEvaluation, title: str, console: Console
 ) -> dict[str, dict[str, float]]:
     """The numbers of the estimates as they are, and of every filter with bones free and steady."""
     poses = [
-        _wrong_sides(track.poses(views), settings.sides_wrong, np.random.default_rng([settings.seed, 2, i]))
-        for i, track in enumerate(tracks)
+        _swap_limbs(sequence.poses(views), settings.sides_wrong, np.random.default_rng([settings.seed, 2, i]))
+        for i, sequence in enumerate(sequences)
     ]
-    truths = [track.truth for track in tracks]
+    truths = [sequence.truth for sequence in sequences]
     rows = {"none": _measure(lambda: None, poses, truths)}
     for name, bones in itertools.product(FILTERS, BONES_CHOICES):
         rows[f"{name}, {bones} bones"] = _measure(
@@ -155,33 +155,35 @@ def _all_filters(
     return rows
 
 
-def make_tracks(settings: MotionEvaluation, console: Console, out_of_step_ms: float = 0.0) -> list[Track]:
+def make_estimates(
+    settings: MotionEvaluation, console: Console, out_of_step_ms: float = 0.0
+) -> list[SequenceEstimates]:
     """The sequences' estimates, read or made."""
-    binding = {k: v for k, v in plain_settings(settings).items() if k not in _NOT_BINDING}
+    fixed = {k: v for k, v in plain_settings(settings).items() if k not in _FREE_SETTINGS}
     sensors = tuple(find_sensor(name) for name in settings.sensors)
     folder = settings.out / f"out_of_step_{out_of_step_ms:g}_ms" if out_of_step_ms else settings.out
-    store = TrackStore(folder, binding)
-    tracks = [store.load(index) for index in range(settings.sequences)]
-    found = [track for track in tracks if track is not None]
-    if len(found) == len(tracks):
-        return found
+    store = EstimateStore(folder, fixed)
+    sequences = [store.load(index) for index in range(settings.sequences)]
+    complete = [estimates for estimates in sequences if estimates is not None]
+    if len(complete) == len(sequences):
+        return complete
     rng = np.random.default_rng([settings.seed, 0])
     if settings.postures is None:
         motions = prior_motions(settings.sequences, settings.seconds, rng)
     else:
         motions = clip_motions(settings.postures, settings.split, settings.sequences, settings.seconds, rng)
     classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)
-    found = []
+    complete = []
     with Progress(console=console) as progress:
         for index, motion in enumerate(progress.track(motions, settings.sequences, description="estimating")):
-            track = tracks[index]
-            if track is None:
+            estimates = sequences[index]
+            if estimates is None:
                 rng = np.random.default_rng([settings.seed, 1, index])
                 frames = moving_frames(motion, settings.views, sensors, rng, out_of_step_ms / 1e3)
-                track = estimate_track(motion.name, frames, classifier, estimator)
-                store.save(index, track)
-            found.append(track)
-    return found
+                estimates = estimate_sequence(motion.name, frames, classifier, estimator)
+                store.save(index, estimates)
+            complete.append(estimates)
+    return complete
 
 
 def apply_filter(filter_: PoseFilter | None, poses: Sequence[Pose]) -> list[Pose]:
@@ -202,26 +204,26 @@ def _measure(
         if filter_ is not None:
             filter_.reset()
     spent_s = time.process_time() - start
-    found: TemporalMetrics = temporal_metrics(estimates, truths, 1 / FPS)
-    return dataclasses.asdict(found) | {
+    metrics: TemporalMetrics = temporal_metrics(estimates, truths, 1 / FPS)
+    return dataclasses.asdict(metrics) | {
         "waits_ms": 1e3 * filter_.delay_frames / FPS if filter_ else 0.0,
         "us_per_frame": 1e6 * spent_s / sum(map(len, streams)),
     }
 
 
-def _wrong_sides(poses: list[Pose], share: float, rng: np.random.Generator) -> list[Pose]:
+def _swap_limbs(poses: list[Pose], share: float, rng: np.random.Generator) -> list[Pose]:
     """The poses, in a share of which the legs, the arms or both have changed places."""
     if not share:
         return poses
     limbs = [limb_joints(limb) for limb in LIMBS]
     choices = [*limbs, np.any(limbs, axis=0)]
-    spoilt = []
+    swapped = []
     for pose in poses:
         if rng.random() < share:
             order = np.where(choices[rng.integers(len(choices))], MIRROR, np.arange(len(JOINTS)))
             pose = Pose(pose.timestamp_ns, pose.joints[order], pose.confidence[order])
-        spoilt.append(pose)
-    return spoilt
+        swapped.append(pose)
+    return swapped
 
 
 def _sections(numbers: dict[str, Any]) -> list[ReportSection]:
@@ -229,7 +231,7 @@ def _sections(numbers: dict[str, Any]) -> list[ReportSection]:
     sections = []
     for name in (name for name in numbers if name.startswith("views") or name == "out of step"):
         header = ["filter", *(heading for _, heading, _ in _COLUMNS)]
-        rows = [[row, *(each[field] for field, _, _ in _COLUMNS)] for row, each in numbers[name].items()]
+        rows = [[row, *(values[field] for field, _, _ in _COLUMNS)] for row, values in numbers[name].items()]
         sections.append(ReportSection(name, tables=(ReportTable(header, rows),)))
     about = [[key.replace("_", " "), str(value)] for key, value in numbers["settings"].items() if value is not None]
     text = f"{numbers['frames']} frames of {', '.join(numbers['sequences'])}."

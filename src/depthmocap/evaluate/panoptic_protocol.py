@@ -18,8 +18,8 @@ from depthmocap.core.console import Terminal
 from depthmocap.core.locks import owns
 from depthmocap.datasets.panoptic import CONFIDENCE, PanopticSet
 from depthmocap.datasets.panoptic_files import MColor
+from depthmocap.evaluate.estimated_frames import estimate_frames
 from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
-from depthmocap.evaluate.labelled_frames import observe
 from depthmocap.evaluate.protocol import Refit, comparable, leave_one_out, measure_estimates
 from depthmocap.pose.estimators import load_estimator
 
@@ -60,9 +60,9 @@ def evaluate_panoptic(settings: PanopticEvaluation, console: Console | None = No
     console = console or Terminal(stderr=True)
     source = PanopticSet(settings.root, settings.kinects, settings.every, settings.confidence, settings.m_color)
     classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)
-    found = comparable(observe(source, estimator, classifier, 1, console), settings.refit)
-    estimates = leave_one_out(found, found.subjects, settings.refit)
-    results = {source.name: {"about": about(settings), **measure_estimates(found, estimates)}}
+    frames = comparable(estimate_frames(source, estimator, classifier, 1, console), settings.refit)
+    estimates = leave_one_out(frames, frames.subjects, settings.refit)
+    results = {source.name: {"about": about(settings), **measure_estimates(frames, estimates)}}
     write_outputs(settings, source.name, results)
     print_results(source.name, results, console)
     return results

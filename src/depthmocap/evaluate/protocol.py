@@ -1,4 +1,4 @@
-"""The protocols of the field on sets of real people: who is fitted on whom, and what is measured.
+"""The protocols of the field on sets of real people: on which frames the fit is made, and what is measured.
 
 As in the paper only the pose stage is fitted to a set's joints (see ``refit``), never the network.
 """
@@ -13,7 +13,7 @@ from jaxtyping import Float, Shaped
 from numpy import ndarray
 
 from depthmocap.errors import InputError
-from depthmocap.evaluate.labelled_frames import Observations
+from depthmocap.evaluate.estimated_frames import EstimatedFrames
 from depthmocap.evaluate.refit import fit_joints
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
 
@@ -21,20 +21,20 @@ from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numb
 Refit = Literal["ridge", "none"]
 
 
-def comparable(observed: Observations, refit: Refit) -> Observations:
+def comparable(observed: EstimatedFrames, refit: Refit) -> EstimatedFrames:
     """The joints that can be estimated: without a fit only those that correspond to one of ours.
 
     Raises:
         InputError: when there is none.
     """
-    joints = tuple(joint for joint in observed.joints if refit != "none" or joint in observed.ours)
+    joints = tuple(joint for joint in observed.joints if refit != "none" or joint in observed.correspondence)
     if not joints:
         raise InputError(f"{observed.name}: none of its joints is known to be one of ours; pass --refit ridge")
     return observed.only(joints)
 
 
 def leave_one_out(
-    observed: Observations, groups: Shaped[ndarray, "n"], refit: Refit = "ridge"
+    observed: EstimatedFrames, groups: Shaped[ndarray, "n"], refit: Refit = "ridge"
 ) -> Float[ndarray, "n j 3"]:
     """Estimates of every frame by a fit to the frames of all other groups (people, or actions).
 
@@ -56,25 +56,25 @@ def leave_one_out(
 
 
 def measure_estimates(
-    observed: Observations,
+    observed: EstimatedFrames,
     estimates: Float[ndarray, "n j 3"],
     parts: Mapping[str, tuple[str, ...]] | None = None,
 ) -> dict[str, Any]:
     """All numbers of a set: over everything, by joint, person and action, and how far its confidence can be trusted.
 
     Args:
-        parts: groups of joints, whose mean average precision at 10 cm is told too.
+        parts: groups of joints, whose mean average precision at 10 cm is added.
     """
     metrics = joint_metrics(estimates, observed.truths, observed.joints)
     errors_cm = joint_errors_cm(estimates, observed.truths)
     numbers = {
         "frames": len(observed),
         "frames_left_out": observed.left_out,
-        "frames_without_person": int((~observed.found).sum()),
+        "frames_without_person": int((~observed.detected).sum()),
         "joints": list(observed.joints),
         **joint_numbers(metrics, reliability(observed.joint_confidence(), errors_cm)),
-        "by_subject": _by(observed, estimates, observed.subjects),
-        "by_action": _by(observed, estimates, observed.actions),
+        "by_subject": _by_group(observed, estimates, observed.subjects),
+        "by_action": _by_group(observed, estimates, observed.actions),
         "ms_per_frame": float(np.median(observed.milliseconds)),
         "problems": list(observed.problems),
     }
@@ -86,19 +86,19 @@ def measure_estimates(
     return numbers
 
 
-def _by(
-    observed: Observations, estimates: Float[ndarray, "n j 3"], groups: Shaped[ndarray, "n"]
+def _by_group(
+    observed: EstimatedFrames, estimates: Float[ndarray, "n j 3"], groups: Shaped[ndarray, "n"]
 ) -> dict[str, dict[str, Any]]:
-    """The main numbers of each group; none where there is only one."""
+    """The main numbers of each group; empty where there is only one group."""
     names = np.unique(groups)
-    found = {}
+    numbers = {}
     for name in names if len(names) > 1 else ():
         rows = groups == name
         metrics = joint_metrics(estimates[rows], observed.truths[rows], observed.joints)
-        found[str(name)] = {
+        numbers[str(name)] = {
             "frames": metrics.frames,
             "mean_joint_error_cm": metrics.mean_joint_error_cm,
             "deviation_cm": metrics.deviation_cm,
             "within_10cm": metrics.within_10cm,
         }
-    return found
+    return numbers

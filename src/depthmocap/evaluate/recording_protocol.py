@@ -46,7 +46,7 @@ def evaluate_recording(settings: RecordingEvaluation, console: Console | None = 
     truths, poses, spent_ms = {}, {}, []
     for frames in track(source, description(settings.recording.name), len(source), console=console):
         result = pipeline(frames)
-        # A filter that waits gives a frame's pose later, and then for good.
+        # A filter with a delay returns the final pose of a frame later.
         poses[result.pose.timestamp_ns] = result.pose
         spent_ms.append(sum(result.milliseconds.values()))
         if frames.true_joints is not None and np.isfinite(frames.true_joints).all(1).any():
@@ -58,16 +58,16 @@ def evaluate_recording(settings: RecordingEvaluation, console: Console | None = 
             f"{settings.recording}: no frame has a true joint: truth.csv must hold the columns of pose.csv, with the "
             f"frames' timestamp_ns; {joined(problems)}".rstrip("; ")
         )
-    true = np.stack(list(truths.values())).astype(np.float64)
-    found = np.stack([poses[time_ns].joints for time_ns in truths]).astype(np.float64)
+    truth = np.stack(list(truths.values())).astype(np.float64)
+    estimates = np.stack([poses[time_ns].joints for time_ns in truths]).astype(np.float64)
     confidence = np.stack([poses[time_ns].confidence for time_ns in truths]).astype(np.float64)
     name = settings.recording.resolve().name
     numbers = {
         "about": about(settings),
         "frames": len(truths),
         "frames_left_out": len(source) - len(truths),
-        "frames_without_person": int(np.isnan(found).all((1, 2)).sum()),
-        **joint_numbers(joint_metrics(found, true), reliability(confidence, joint_errors_cm(found, true))),
+        "frames_without_person": int(np.isnan(estimates).all((1, 2)).sum()),
+        **joint_numbers(joint_metrics(estimates, truth), reliability(confidence, joint_errors_cm(estimates, truth))),
         "ms_per_frame": float(np.median(spent_ms)),
         "problems": problems,
     }

@@ -22,23 +22,27 @@ from numpy import ndarray
 from depthmocap.body.regions import REGION_COUNT
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
-from depthmocap.evaluate.labelled_frames import Observations
+from depthmocap.evaluate.estimated_frames import EstimatedFrames
 from depthmocap.pose.ridge import STRENGTHS, grouped_folds
 
 INPUTS = 3 * (len(JOINTS) + REGION_COUNT)
-#: Standardised inputs are clipped to so many deviations: a region of a few mislabelled points may lie anywhere.
+#: Standardised inputs are clipped to this many deviations, since a region of few mislabelled points may lie anywhere.
 _CLIP = 5.0
 _FOLDS = 5
-#: Neighbouring frames that stay in one fold where neither people nor actions can be parted.
+#: Neighbouring frames in one fold, where neither people nor actions can be separated.
 _BLOCK = 10
-#: A joint that is known in fewer frames is not fitted.
+#: Least number of frames with a known joint to fit it.
 _FEWEST = 10
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class JointMap:
-    """From what is observed to a set's joints; see the top of this file. ``fitted`` tells which joints were: another is
-    our corresponding one as it is. ``strengths`` are of each joint's penalty, NaN where not fitted."""
+    """Map from estimates to a set's joints, by the formula at the top of this file.
+
+    Attributes:
+        fitted: joints that were fitted; for the others the map gives our corresponding joint unchanged.
+        strengths: penalty of each joint, NaN where not fitted.
+    """
 
     mean: Float[ndarray, "f"]
     scale: Float[ndarray, "f"]
@@ -47,24 +51,24 @@ class JointMap:
     fitted: Bool[ndarray, "j"]
     strengths: Float[ndarray, "j"]
 
-    def __call__(self, observed: Observations) -> Float[ndarray, "n j 3"]:
-        """The set's joints in the world turned Z-up; NaN in frames where nobody was found, and for joints that were
+    def __call__(self, observed: EstimatedFrames) -> Float[ndarray, "n j 3"]:
+        """The set's joints in the world turned Z-up. NaN in frames without a detected person, and for joints that are
         neither fitted nor correspond to one of ours."""
         x = _standardised(_inputs(observed), self.mean, self.scale)
         body = _base(observed) + np.einsum("nf,jfc->njc", x, self.weights) + self.offset
-        body[:, ~(self.fitted | (observed.base >= 0))] = np.nan
+        body[:, ~(self.fitted | (observed.corresponding >= 0))] = np.nan
         world = observed.frame.to_world(body)
-        world[~observed.found] = np.nan
+        world[~observed.detected] = np.nan
         return world
 
 
-def fit_joints(observed: Observations) -> JointMap:
+def fit_joints(observed: EstimatedFrames) -> JointMap:
     """Fit the map to frames with known joints.
 
     Raises:
-        InputError: when no joint is known in enough frames in which somebody was found.
+        InputError: when no joint is known in enough frames with a detected person.
     """
-    usable = observed.found[:, None] & ~np.isnan(observed.truths).any(-1)
+    usable = observed.detected[:, None] & ~np.isnan(observed.truths).any(-1)
     fitted = usable.sum(0) >= _FEWEST
     if not fitted.any():
         raise InputError(
@@ -72,7 +76,7 @@ def fit_joints(observed: Observations) -> JointMap:
             "--refit none"
         )
     inputs = _inputs(observed)
-    mean, scale = _moments(inputs[observed.found])
+    mean, scale = _moments(inputs[observed.detected])
     x = _standardised(inputs, mean, scale)
     y = observed.frame.from_world(observed.truths) - _base(observed)
     groups = _groups(observed)
@@ -81,31 +85,31 @@ def fit_joints(observed: Observations) -> JointMap:
     # Joints that are known in the same frames share the decomposition.
     patterns = {usable[:, j].tobytes(): usable[:, j] for j in np.flatnonzero(fitted)}
     for rows in patterns.values():
-        which = np.flatnonzero(fitted & (usable == rows[:, None]).all(0))
-        targets = y[rows][:, which].reshape(rows.sum(), -1)
-        found, constant, strength = _ridge(x[rows], targets, groups[rows])
-        weights[which] = found.reshape(INPUTS, len(which), 3).transpose(1, 0, 2)
-        offset[which], strengths[which] = constant.reshape(-1, 3), strength
+        columns = np.flatnonzero(fitted & (usable == rows[:, None]).all(0))
+        targets = y[rows][:, columns].reshape(rows.sum(), -1)
+        fitted_weights, constant, strength = _ridge(x[rows], targets, groups[rows])
+        weights[columns] = fitted_weights.reshape(INPUTS, len(columns), 3).transpose(1, 0, 2)
+        offset[columns], strengths[columns] = constant.reshape(-1, 3), strength
     return JointMap(mean, scale, weights, offset, fitted, strengths)
 
 
-def _inputs(observed: Observations) -> Float[ndarray, "n f"]:
+def _inputs(observed: EstimatedFrames) -> Float[ndarray, "n f"]:
     points = np.concatenate([observed.estimates, observed.centres], 1)
     return observed.frame.from_world(points).reshape(len(observed), -1)
 
 
-def _base(observed: Observations) -> Float[ndarray, "n j 3"]:
+def _base(observed: EstimatedFrames) -> Float[ndarray, "n j 3"]:
     """Our corresponding joints in the body's frame, 0 where none does."""
-    ours = observed.frame.from_world(observed.estimates)[:, observed.base]
-    return np.where((observed.base >= 0)[:, None], ours, 0)
+    ours = observed.frame.from_world(observed.estimates)[:, observed.corresponding]
+    return np.where((observed.corresponding >= 0)[:, None], ours, 0)
 
 
 def _moments(inputs: Float[ndarray, "n f"]) -> tuple[Float[ndarray, "f"], Float[ndarray, "f"]]:
-    """Mean and deviation of what was seen; an input that is never seen, or constant, gets the deviation 1."""
-    seen = ~np.isnan(inputs)
-    count = np.maximum(seen.sum(0), 1)
-    mean = np.sum(inputs, axis=0, where=seen) / count
-    deviation = np.sqrt(np.sum((inputs - mean) ** 2, axis=0, where=seen) / count)
+    """Mean and deviation of the known inputs. An input that is never known, or constant, gets the deviation 1."""
+    known = ~np.isnan(inputs)
+    count = np.maximum(known.sum(0), 1)
+    mean = np.sum(inputs, axis=0, where=known) / count
+    deviation = np.sqrt(np.sum((inputs - mean) ** 2, axis=0, where=known) / count)
     return mean, np.where(deviation > 1e-6, deviation, 1.0)
 
 
@@ -115,8 +119,8 @@ def _standardised(
     return np.clip(np.nan_to_num((inputs - mean) / scale), -_CLIP, _CLIP)
 
 
-def _groups(observed: Observations) -> Int[ndarray, "n"]:
-    """What cross-validation keeps together: people, or where there is one only, their actions, or blocks of frames."""
+def _groups(observed: EstimatedFrames) -> Int[ndarray, "n"]:
+    """Groups of the cross-validation: people; with one person only, actions; with one action only, blocks of frames."""
     for names in (observed.subjects, observed.actions):
         different, groups = np.unique(names, return_inverse=True)
         if len(different) > 1:
@@ -127,8 +131,8 @@ def _groups(observed: Observations) -> Int[ndarray, "n"]:
 def _ridge(
     x: Float[ndarray, "n f"], y: Float[ndarray, "n d"], groups: Int[ndarray, "n"]
 ) -> tuple[Float[ndarray, "f d"], Float[ndarray, "d"], float]:
-    """Weights, constant and the strength with the least mean joint error in cross-validation; without two groups to
-    part, the strongest."""
+    """Weights, constant, and the strength with the least mean joint error in cross-validation; the strongest where
+    there are fewer than two groups."""
     if len(np.unique(groups)) < 2:
         return *_solve(x, y, STRENGTHS[-1:])[0], float(STRENGTHS[-1])
     fold_of = grouped_folds(groups, _FOLDS)

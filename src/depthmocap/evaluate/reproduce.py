@@ -73,7 +73,7 @@ def reproduce(settings: Reproduction, console: Console | None = None) -> dict[st
         raise InputError(f"--pictures must be at least 1, got {settings.pictures}")
     for path in (settings.net1, settings.net2, settings.net3):
         if path is not None:
-            Classifier(path)  # so that a wrong file is told before hours are spent
+            Classifier(path)  # a wrong file raises before hours are spent
     sections: list[ReportSection] = []
     numbers: dict[str, Any] = {}
     notes: list[str] = []
@@ -82,8 +82,8 @@ def reproduce(settings: Reproduction, console: Console | None = None) -> dict[st
             notes.append(f"{name} was not given.")
             continue
         try:
-            found, numbers[name] = part(console)
-            sections += found
+            part_sections, numbers[name] = part(console)
+            sections += part_sections
         except InputError as error:
             notes.append(f"{name} is left out: {error}")
             console.print(notes[-1])

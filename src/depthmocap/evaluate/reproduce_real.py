@@ -16,7 +16,7 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.classify.classifier import Classifier
 from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet
 from depthmocap.datasets.eval3d import Eval
-from depthmocap.datasets.mhad import ACTIONS, MHAD_OURS, MhadSet
+from depthmocap.datasets.mhad import ACTIONS, MHAD_CORRESPONDENCE, MhadSet
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import report_sections
 from depthmocap.evaluate.mhad_protocol import MhadResults, measure_mhad
@@ -45,8 +45,14 @@ _MICHEL_NOTE = (
 
 @dataclasses.dataclass(frozen=True)
 class RealPart:
-    """What is read and shown: every so-many-th frame, weights (None: packaged), the joints' estimator, columns of the
-    figures."""
+    """What is read and shown.
+
+    Attributes:
+        every: read every ``every``-th frame only.
+        weights: of the network; None for the packaged ones.
+        estimator: of the joints.
+        pictures: columns of the figures.
+    """
 
     root: Path
     every: int
@@ -55,15 +61,15 @@ class RealPart:
     pictures: int
 
 
-class _Keep:
-    """A set that passes another's frames on and keeps the first of each action, with their places."""
+class _FirstFrames:
+    """A set that passes the frames of another set on and keeps the first frame of each action with its index."""
 
     def __init__(self, source: MhadSet, count: int) -> None:
-        self.name, self.joints, self.ours, self.up, self.fps = (
-            source.name, source.joints, source.ours, source.up, source.fps,
+        self.name, self.joints, self.correspondence, self.up, self.fps = (
+            source.name, source.joints, source.correspondence, source.up, source.fps,
         )  # fmt: skip
         self._source, self._count = source, count
-        self.kept: dict[str, tuple[int, AnnotatedFrame]] = {}
+        self.frames: dict[str, tuple[int, AnnotatedFrame]] = {}
 
     @property
     def problems(self) -> list[str]:
@@ -71,8 +77,8 @@ class _Keep:
 
     def __iter__(self) -> Iterator[AnnotatedFrame]:
         for i, frame in enumerate(self._source):
-            if len(self.kept) < self._count:
-                self.kept.setdefault(frame.action, (i, frame))
+            if len(self.frames) < self._count:
+                self.frames.setdefault(frame.action, (i, frame))
             yield frame
 
 
@@ -82,25 +88,25 @@ def reproduce_mhad(part: RealPart, console: Console) -> tuple[list[ReportSection
     Raises:
         InputError: see ``measure_mhad``.
     """
-    source = _Keep(MhadSet(part.root, every=part.every), part.pictures)
+    source = _FirstFrames(MhadSet(part.root, every=part.every), part.pictures)
     classifier = Classifier(part.weights)
-    found = measure_mhad(source, load_estimator(part.estimator), classifier, console=console)
-    numbers = found.numbers
+    results = measure_mhad(source, load_estimator(part.estimator), classifier, console=console)
+    numbers = results.numbers
     main = "35 joints"
     rows = pose_rows(f"{main}, leave one subject out", PAPER_MHAD, numbers[main])
-    for name, each in numbers.items():
+    for name, result in numbers.items():
         if name != main and not name.startswith("Michel"):
-            rows += pose_rows(name, (None, None), each)
+            rows += pose_rows(name, (None, None), result)
     sections = [
         ReportSection("Table III: Berkeley MHAD, Michel's joints", (_MICHEL_NOTE,), (_michel_table(numbers),)),
         ReportSection(
             "Berkeley MHAD",
             tables=(ReportTable(("", "the paper", "ours"), rows),),
-            figures=_mhad_figures(source, found, classifier),
+            figures=_mhad_figures(source, results, classifier),
         ),
     ]
     measured = report_sections({main: numbers[main]})
-    sections += [dataclasses.replace(each, heading=f"MHAD: {each.heading}") for each in measured]
+    sections += [dataclasses.replace(result, heading=f"MHAD: {result.heading}") for result in measured]
     return sections, numbers
 
 
@@ -110,28 +116,28 @@ def _michel_table(numbers: dict[str, Any]) -> ReportTable:
     rows = [[name, *(f"{value:g}" for value in values)] for name, values in PAPER_MICHEL.items()]
     ours = ["ours"]
     for words in ("subjects", "actions"):
-        each = numbers.get(f"Michel's joints, {words}")
-        ours += ["–"] * 3 if each is None else [
-            f"{each['mean_joint_error_cm']:.2f}",
-            f"{each['deviation_cm']:.2f} ({each['deviation_of_frames_cm']:.2f})",
-            f"{each['within_10cm'] * 100:.1f}",
+        result = numbers.get(f"Michel's joints, {words}")
+        ours += ["–"] * 3 if result is None else [
+            f"{result['mean_joint_error_cm']:.2f}",
+            f"{result['deviation_cm']:.2f} ({result['deviation_of_frames_cm']:.2f})",
+            f"{result['within_10cm'] * 100:.1f}",
         ]  # fmt: skip
     return ReportTable(header, [*rows, ours])
 
 
-def _mhad_figures(source: _Keep, found: MhadResults, classifier: Classifier) -> list[ReportFigure]:
+def _mhad_figures(source: _FirstFrames, results: MhadResults, classifier: Classifier) -> list[ReportFigure]:
     """Labels of the kept frames, and the true skeleton in blue beside the estimate in red, as the paper draws them."""
     z_up = z_up_from(source.up).T
-    theirs = {ours: joint for joint, ours in MHAD_OURS.items()}
-    columns = [found.observed.joints.index(theirs[joint]) for joint in JOINTS]
+    set_joint = {ours: joint for joint, ours in MHAD_CORRESPONDENCE.items()}
+    columns = [results.frames.joints.index(set_joint[joint]) for joint in JOINTS]
     figures = []
-    for action, (i, frame) in source.kept.items():
+    for action, (i, frame) in source.frames.items():
         strip, cloud = _labelled(frame, classifier)
         words = f"{frame.subject}, {ACTIONS.get(action, action)}"
         figures.append(ReportFigure(strip, f"{words}: depth, and the network's regions."))
         picture = cloud_picture(
-            cloud.points_world @ z_up.astype(np.float32), cloud.labels, found.estimates[i][columns],
-            found.observed.truths[i][columns],
+            cloud.points_world @ z_up.astype(np.float32), cloud.labels, results.estimates[i][columns],
+            results.frames.truths[i][columns],
         )  # fmt: skip
         figures.append(ReportFigure(picture, f"{words}: truth blue, estimate red."))
     return figures
@@ -139,7 +145,7 @@ def _mhad_figures(source: _Keep, found: MhadResults, classifier: Classifier) -> 
 
 def _labelled(frame: AnnotatedFrame, classifier: Classifier) -> tuple[UInt8[ndarray, "h w 3"], LabelledCloud]:
     labelled = label_people(frame.views, classifier)
-    return labelled_depth_strip(frame.views, [each.labels for each in labelled]), merge_views(labelled)
+    return labelled_depth_strip(frame.views, [view.labels for view in labelled]), merge_views(labelled)
 
 
 def reproduce_eval(part: RealPart, console: Console) -> tuple[list[ReportSection], dict[str, Any]]:

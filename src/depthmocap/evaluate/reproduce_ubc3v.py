@@ -13,10 +13,10 @@ from rich.progress import Progress
 from depthmocap.classify.classifier import Classifier
 from depthmocap.datasets.ubc3v import iterate
 from depthmocap.errors import InputError
+from depthmocap.evaluate.accuracy import Labels, measure_accuracy
 from depthmocap.evaluate.evaluation_report import report_sections
 from depthmocap.evaluate.label_charts import LabelExample, label_grid
 from depthmocap.evaluate.labels import LabelQuality
-from depthmocap.evaluate.synthetic import Labels, measure
 from depthmocap.pose.estimators import load_estimator
 from depthmocap.report.page import Cell, ReportFigure, ReportSection, ReportTable
 
@@ -35,8 +35,14 @@ PAPER_TRUE, PAPER_NETWORK = (2.44, 99.1), (5.64, 88.7)
 
 @dataclasses.dataclass(frozen=True)
 class Ubc3vPart:
-    """What is read and shown: weights by network (1-3, None: not given), the joints' estimator, samples of each part at
-    most, views in the figure."""
+    """What is read and shown.
+
+    Attributes:
+        nets: weights by network (1–3), None where not given.
+        estimator: of the joints.
+        limit: most samples of each part.
+        pictures: views in the figure.
+    """
 
     root: Path
     nets: Mapping[int, Path | None]
@@ -49,19 +55,19 @@ def reproduce_ubc3v(part: Ubc3vPart, console: Console) -> tuple[list[ReportSecti
     """Sections of the page, and all numbers. What is missing of one table does not keep the other from being made.
 
     Raises:
-        InputError: when there is nothing to tell.
+        InputError: when neither table can be made.
     """
     shares, missing = _label_shares(part, console)
     table = {f"net {net}, {subset}-pose": share for (net, subset), share in shares.items()}
     sections = [ReportSection("Table II: the curriculum's networks", missing, (_label_table(shares),))]
     numbers: dict[str, Any] = {"table_2": table, "missing": missing}
     try:
-        more, found = _test_set(part, console)
+        more, results = _test_set(part, console)
     except InputError as error:
         if not shares:
             raise
         return [*sections, ReportSection("UBC3V, hard-pose test", (str(error),))], numbers
-    return sections + more, numbers | found
+    return sections + more, numbers | results
 
 
 def _test_set(part: Ubc3vPart, console: Console) -> tuple[list[ReportSection], dict[str, Any]]:
@@ -74,10 +80,10 @@ def _test_set(part: Ubc3vPart, console: Console) -> tuple[list[ReportSection], d
         with Progress(console=console) as progress:
             tracked = progress.track(frames, part.limit, description=f"joints, {words}")
             network = classifier if kind == "network" else None
-            found = measure(tracked, 3, load_estimator(part.estimator, kind), network)
-        if found is None:
+            result = measure_accuracy(tracked, 3, load_estimator(part.estimator, kind), network)
+        if result is None:
             raise InputError(f"{part.root}: no sample of hard-pose/test has labels and joints")
-        poses[words] = found
+        poses[words] = result
     rows = [
         ["pixels labelled right (%); the paper: Net 3", PAPER_TEST_PIXELS, labels.accuracy.pixel_accuracy * 100],
         *pose_rows("true labels", PAPER_TRUE, poses["true labels"]),
@@ -87,7 +93,7 @@ def _test_set(part: Ubc3vPart, console: Console) -> tuple[list[ReportSection], d
     table = ReportTable(("", "the paper", "ours"), rows)
     sections = [
         ReportSection("UBC3V, hard-pose test", tables=(table,), figures=(grid,)),
-        *(dataclasses.replace(each, heading=f"UBC3V: {each.heading}") for each in report_sections(poses)),
+        *(dataclasses.replace(section, heading=f"UBC3V: {section.heading}") for section in report_sections(poses)),
     ]
     return sections, {"test_pixel_accuracy": labels.accuracy.pixel_accuracy, "joints": poses}
 
@@ -137,9 +143,9 @@ def label_quality(
     with Progress(console=console) as progress:
         for frame in progress.track(frames, part.limit, description=f"labels, {subset}-pose {split}"):
             views = [view for view in frame.views if view.mask is not None and view.labels is not None]
-            found = quality.add(classifier, views)
-            if found and len(examples) < pictures:
-                examples.append(found[len(examples) % len(found)])
+            labelled = quality.add(classifier, views)
+            if labelled and len(examples) < pictures:
+                examples.append(labelled[len(examples) % len(labelled)])
     if not quality.accuracy.pixels:
         raise InputError(f"{part.root}: no view of {subset}-pose/{split} has labels")
     return quality, examples

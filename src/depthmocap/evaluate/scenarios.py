@@ -1,4 +1,4 @@
-"""Who comes into a generated room, and what they do there: stories that people are followed through."""
+"""Scenarios of generated scenes: who is in the room, and along which trajectories they move."""
 
 from __future__ import annotations
 
@@ -18,128 +18,148 @@ from depthmocap.synth.people.bodies import random_phenotype
 from depthmocap.synth.people.garments import DressedBody, clothe
 from depthmocap.synth.people.wardrobe import random_clothes
 
-#: Half the room's sides; people come from behind its walls, this far (metres).
-HALF_X, HALF_Y = 3.0, 2.9
-_OUTSIDE = 0.6
-#: People alike in stature differ by at most this, others by at least that; and what they are between (metres).
-ALIKE_M, UNLIKE_M, STATURES_M = 0.015, 0.08, (1.5, 1.95)
-#: Visitors come no nearer to each other than this, from middle to middle (metres).
+#: Half the length of the room along x, metres.
+HALF_X = 3.0
+#: Half the length of the room along y, metres.
+HALF_Y = 2.9
+#: People enter from this far behind the walls, metres.
+_OUTSIDE_M = 0.6
+#: Statures of people who look alike differ by at most this, metres.
+ALIKE_M = 0.015
+#: Statures of people who look different differ by at least this, metres.
+UNLIKE_M = 0.08
+#: Range of the statures, metres.
+STATURES_M = (1.5, 1.95)
+#: Least distance of two visitors, from middle to middle, metres.
 _PASSING_M = 0.6
-#: Where somebody stands close to the chest, the table and between both (metres): x, y of their middle.
+#: Places (x, y in metres) of a person's middle close to the chest, to the table, and between both.
 _BESIDE = ((2.2, 1.05), (0.15, 1.82), (2.65, 1.68))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Stage:
-    """Who acts, where the chair stands (x, y), and the moments that are looked at."""
+    """What trajectories are planned for.
 
-    people: list[DressedBody]
+    Attributes:
+        actors: the people.
+        chair: where the chair stands (x, y), metres.
+        times_s: time of each frame.
+    """
+
+    actors: list[DressedBody]
     chair: Float[ndarray, "2"]
     times_s: Float[ndarray, " n"]
 
 
 @runtime_checkable
-class Story(Protocol):
-    """People and their ways.
+class Scenario(Protocol):
+    """Actors and their trajectories.
 
     Attributes:
-        seconds: how long it takes.
-        pushed_s: the chair is pushed aside between these times; None when nobody does.
+        seconds: length of the scenario.
+        chair_pushed_s: start and end of the time in which somebody pushes the chair aside; None when nobody does.
     """
 
     @property
     def seconds(self) -> float: ...
 
     @property
-    def pushed_s(self) -> tuple[float, float] | None: ...
+    def chair_pushed_s(self) -> tuple[float, float] | None: ...
 
-    def cast(self, rng: np.random.Generator) -> list[DressedBody]:
-        """The people."""
+    def actors(self, rng: np.random.Generator) -> list[DressedBody]:
+        """Draw the people."""
         ...
 
-    def ways(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
-        """How each of them moves."""
+    def trajectories(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
+        """Draw the motion of each of them."""
         ...
 
 
 @dataclasses.dataclass(frozen=True)
 class Meeting:
-    """The first comes and stands in the middle, then walks about; the second comes by, pushes the chair aside, stands
-    beside the first (``apart_m`` from middle to middle), crosses their way, goes, and returns."""
+    """Two people in the room.
+
+    The first person enters, stands in the middle and then walks about. The second person enters, pushes the chair
+    aside, stands beside the first (``apart_m`` from middle to middle), crosses the path of the first, leaves and
+    returns.
+    """
 
     apart_m: float = 0.5
     seconds: float = 22.0
-    pushed_s: tuple[float, float] | None = (7.0, 7.6)
+    chair_pushed_s: tuple[float, float] | None = (7.0, 7.6)
 
-    def cast(self, rng: np.random.Generator) -> list[DressedBody]:
-        return [_somebody(rng) for _ in range(2)]
+    def actors(self, rng: np.random.Generator) -> list[DressedBody]:
+        return [_random_actor(rng) for _ in range(2)]
 
-    def ways(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
+    def trajectories(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
         x, y = rng.uniform(-0.2, 0.2, 2)
         first = [
-            Stop(-HALF_X - _OUTSIDE, y), Stop(x, y, 7.0), Stop(x + 0.2, y + 1.1, 0.5), Stop(x - 0.9, y - 0.9, 1.0),
+            Stop(-HALF_X - _OUTSIDE_M, y), Stop(x, y, 7.0), Stop(x + 0.2, y + 1.1, 0.5), Stop(x - 0.9, y - 0.9, 1.0),
             Stop(x, y),
         ]  # fmt: skip
         second = [
-            Stop(stage.chair[0] - 0.1, HALF_Y + _OUTSIDE), Stop(stage.chair[0] - 0.45, stage.chair[1] + 0.2, 0.3),
-            Stop(x + self.apart_m, y, 1.0), Stop(x - 0.2, y - 1.3, 0.4), Stop(HALF_X + _OUTSIDE, y - 0.5, 1.5),
+            Stop(stage.chair[0] - 0.1, HALF_Y + _OUTSIDE_M), Stop(stage.chair[0] - 0.45, stage.chair[1] + 0.2, 0.3),
+            Stop(x + self.apart_m, y, 1.0), Stop(x - 0.2, y - 1.3, 0.4), Stop(HALF_X + _OUTSIDE_M, y - 0.5, 1.5),
             Stop(x + 1.0, y - 0.1),
         ]  # fmt: skip
         return [
-            stroll(stage.people[0], first, 0.3, rng.uniform(1.0, 1.2), stage.times_s),
-            stroll(stage.people[1], second, 3.0, rng.uniform(1.0, 1.2), stage.times_s),
+            stroll(stage.actors[0], first, 0.3, rng.uniform(1.0, 1.2), stage.times_s),
+            stroll(stage.actors[1], second, 3.0, rng.uniform(1.0, 1.2), stage.times_s),
         ]
 
 
 @dataclasses.dataclass(frozen=True)
 class Visits:
-    """Everybody comes, one after the other, and goes; when all are away they return in any order.
+    """People enter one after the other and leave. When all have left, they return in random order.
 
     Attributes:
-        people: so many.
-        alike: of nearly the same stature; otherwise clearly different.
-        newcomer: the last one comes only when the others return.
+        people: number of people.
+        alike: all have nearly the same stature; otherwise the statures differ clearly.
+        newcomer: the last person enters only in the second half.
     """
 
     people: int = 2
     alike: bool = False
     newcomer: bool = False
-    pushed_s: tuple[float, float] | None = None
+    chair_pushed_s: tuple[float, float] | None = None
 
-    #: From one coming to the next, and how long a visit takes with some time to spare (s).
+    #: Time from one entry to the next, seconds.
     _every_s = 4.5
+    #: Time that a visit takes, with some to spare, seconds.
     _visit_s = 10.0
 
     @property
     def seconds(self) -> float:
         return 2 * (self._visit_s + self._every_s * (self.people - 1))
 
-    def cast(self, rng: np.random.Generator) -> list[DressedBody]:
-        people: list[DressedBody] = []
-        while len(people) < self.people:
-            people.append(_visitor(rng, [stature_m(each) for each in people], self.alike))
-        return people
+    def actors(self, rng: np.random.Generator) -> list[DressedBody]:
+        actors: list[DressedBody] = []
+        while len(actors) < self.people:
+            actors.append(_random_visitor(rng, [stature_m(actor) for actor in actors], self.alike))
+        return actors
 
-    def ways(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
-        again = stage.times_s >= self.seconds / 2
+    def trajectories(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
+        second_half = stage.times_s >= self.seconds / 2
         while True:
             plans = self._draw_plans(rng)
             places = [
-                np.where(again[:, None], two[1].places(stage.times_s), two[0].places(stage.times_s)) for two in plans
+                np.where(second_half[:, None], pair[1].places(stage.times_s), pair[0].places(stage.times_s))
+                for pair in plans
             ]
             if all(_apart_m(places[i], places[j]) > _PASSING_M for i in range(self.people) for j in range(i)):
                 break
         motions = [
-            [visit.motion(one, stage.times_s) for visit in two] for one, two in zip(stage.people, plans, strict=True)
+            [visit.motion(actor, stage.times_s) for visit in pair]
+            for actor, pair in zip(stage.actors, plans, strict=True)
         ]
         if self.newcomer:
             motions[-1][0] = motions[-1][1]
-        return [_joined(first, second, again) for first, second in motions]
+        return [_joined(first, second, second_half) for first, second in motions]
 
     def _draw_plans(self, rng: np.random.Generator) -> list[tuple[_Visit, _Visit]]:
-        """Two visits of each."""
-        # Nobody comes in where others go out.
-        gates = rng.permutation([[-HALF_X - _OUTSIDE, 0.1], [HALF_X + _OUTSIDE, -0.4], [1.4, HALF_Y + _OUTSIDE]])
+        """Two visits of each person."""
+        # People never enter through the door by which others leave.
+        doors = rng.permutation([[-HALF_X - _OUTSIDE_M, 0.1], [HALF_X + _OUTSIDE_M, -0.4], [1.4, HALF_Y + _OUTSIDE_M]])
         order, plans = rng.permutation(self.people), []
         for k in range(self.people):
             visits = []
@@ -147,9 +167,9 @@ class Visits:
                 azimuths = 2 * np.pi * k / self.people + rng.uniform(-0.4, 0.4, 2)
                 inside = 0.7 * np.stack([np.cos(azimuths), np.sin(azimuths)], 1)
                 stops = (
-                    _stop(gates[int(rng.integers(1, 3))]),
+                    _stop(doors[int(rng.integers(1, 3))]),
                     *(_stop(place, float(rng.uniform(0.2, 1.0))) for place in inside),
-                    _stop(gates[0]),
+                    _stop(doors[0]),
                 )
                 visits.append(_Visit(stops, start_s, float(rng.uniform(1.0, 1.2))))
             plans.append((visits[0], visits[1]))
@@ -158,14 +178,14 @@ class Visits:
 
 @dataclasses.dataclass(frozen=True)
 class _Visit:
-    """A walk from stop to stop, begun at a time (s), at a speed (m/s)."""
+    """A walk from stop to stop that starts at a time (seconds) and has a speed (m/s)."""
 
     stops: tuple[Stop, ...]
     start_s: float
     speed_mps: float
 
     def places(self, times_s: Float[ndarray, " n"]) -> Float[ndarray, "n 2"]:
-        """Where the walker is, about: corners are not rounded."""
+        """Approximate positions (metres): corners are not rounded."""
         at_s, places = [self.start_s], [(self.stops[0].x, self.stops[0].y)]
         for stop in self.stops[1:]:
             walked_m = np.hypot(stop.x - places[-1][0], stop.y - places[-1][1])
@@ -179,56 +199,58 @@ class _Visit:
 
 
 @dataclasses.dataclass(frozen=True)
-class Beside:
-    """Somebody stands close to a piece of furniture when it begins, sways a little, and walks away later."""
+class BesideFurniture:
+    """A person stands close to a piece of furniture from the start, sways a little, and walks away later."""
 
     seconds: float = 20.0
     stands_s: float = 14.0
-    pushed_s: tuple[float, float] | None = None
+    chair_pushed_s: tuple[float, float] | None = None
 
-    def cast(self, rng: np.random.Generator) -> list[DressedBody]:
-        return [_visitor(rng, [], False)]
+    def actors(self, rng: np.random.Generator) -> list[DressedBody]:
+        return [_random_visitor(rng, [], False)]
 
-    def ways(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
+    def trajectories(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
         x, y = _BESIDE[int(rng.integers(len(_BESIDE)))]
         stops = [Stop(x, y), _stop(rng.uniform(-0.4, 0.4, 2), 1.0), Stop(-1.2, -0.3)]
-        motion = stroll(stage.people[0], stops, self.stands_s, 1.1, stage.times_s)
+        motion = stroll(stage.actors[0], stops, self.stands_s, 1.1, stage.times_s)
         return [_sway(rng, motion)]
 
 
 @dataclasses.dataclass(frozen=True)
-class Empty:
-    """Nobody comes: furniture alone."""
+class EmptyRoom:
+    """Nobody enters the room."""
 
     seconds: float = 12.0
-    pushed_s: tuple[float, float] | None = None
+    chair_pushed_s: tuple[float, float] | None = None
 
-    def cast(self, rng: np.random.Generator) -> list[DressedBody]:
+    def actors(self, rng: np.random.Generator) -> list[DressedBody]:
         return []
 
-    def ways(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
+    def trajectories(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
         return []
 
 
 def stature_m(dressed: DressedBody) -> float:
-    """Height of the body at rest, bare."""
+    """Height (metres) of the body in its rest pose, without clothes."""
     heights = dressed.body.rest_vertices[:, 2]
     return float(heights.max() - heights.min())
 
 
-def _somebody(rng: np.random.Generator) -> DressedBody:
+def _random_actor(rng: np.random.Generator) -> DressedBody:
     phenotype = random_phenotype(rng, children=False)
     return clothe(BodyModel.load().shape(phenotype), random_clothes(rng, False, phenotype.gender), rng)
 
 
-def _visitor(rng: np.random.Generator, others_m: list[float], alike: bool) -> DressedBody:
-    """Somebody of ordinary stature, like that of all others or unlike each of them."""
+def _random_visitor(rng: np.random.Generator, others_m: list[float], alike: bool) -> DressedBody:
+    """A person of ordinary stature: nearly that of all others, or clearly different from each of them."""
     while True:
         phenotype = random_phenotype(rng, children=False)
         body = BodyModel.load().shape(phenotype)
-        own_m = float(np.ptp(body.rest_vertices[:, 2]))
-        off = np.abs(np.array(others_m) - own_m)
-        if STATURES_M[0] < own_m < STATURES_M[1] and bool((off < ALIKE_M if alike else off > UNLIKE_M).all()):
+        height_m = float(np.ptp(body.rest_vertices[:, 2]))
+        difference_m = np.abs(np.array(others_m) - height_m)
+        if STATURES_M[0] < height_m < STATURES_M[1] and bool(
+            (difference_m < ALIKE_M if alike else difference_m > UNLIKE_M).all()
+        ):
             return clothe(body, random_clothes(rng, False, phenotype.gender), rng)
 
 
@@ -237,23 +259,23 @@ def _stop(place: Float[ndarray, "2"], stand_s: float = 0.0) -> Stop:
 
 
 def _apart_m(one: Float[ndarray, "n 2"], other: Float[ndarray, "n 2"]) -> float:
-    """The least distance of two people while both are in the room."""
+    """Least distance (metres) of two people while both are in the room."""
     inside = (np.abs(np.stack([one, other])) < (HALF_X, HALF_Y)).all(axis=(0, 2))
     return float(np.linalg.norm(one - other, axis=1).min(initial=np.inf, where=inside))
 
 
-def _joined(first: Motion, second: Motion, again: Bool[ndarray, " n"]) -> Motion:
-    """One motion, and another where ``again`` says so."""
+def _joined(first: Motion, second: Motion, second_half: Bool[ndarray, " n"]) -> Motion:
+    """The first motion, and the second one in the second half."""
     return Motion(
         first.times_s,
-        np.where(again[:, None, None], second.postures, first.postures),
-        np.where(again[:, None], second.offsets, first.offsets),
+        np.where(second_half[:, None, None], second.postures, first.postures),
+        np.where(second_half[:, None], second.offsets, first.offsets),
     )
 
 
 def _sway(rng: np.random.Generator, motion: Motion) -> Motion:
-    """Nobody stands like a statue: the middle sways by 6 mm, trunk and head by 1°, arms by 3° (standard deviations),
-    over a second or so."""
+    """Add sway, because nobody stands still: 6 mm of the middle, 1° of trunk and head, 3° of the arms (standard
+    deviations), within about a second."""
     rate_hz = (len(motion.times_s) - 1) / (motion.times_s[-1] - motion.times_s[0])
 
     def slow(*shape: int) -> Float[ndarray, "..."]:

@@ -57,8 +57,8 @@ def temporal_metrics(
     pairs = list(zip(estimates, truths, strict=True))
     acceleration = _pooled([acceleration_errors(*pair) for pair in pairs])
     sides = [exchanged_limbs(*pair) for pair in pairs]
-    frames = sum(len(each) for each in sides)
-    flips = sum(int(np.diff(each, axis=0).any(1).sum()) for each in sides)
+    frames = sum(len(limbs) for limbs in sides)
+    flips = sum(int(np.diff(limbs, axis=0).any(1).sum()) for limbs in sides)
     return TemporalMetrics(
         mean_joint_error_cm=_pooled([np.linalg.norm(e - t, axis=-1) for e, t in pairs]) * 100,
         acceleration_error_mm=acceleration * 1e3,
@@ -67,7 +67,7 @@ def temporal_metrics(
         foot_skate_cmps=_pooled([steps_at_rest(*pair, period_s)[:, _FEET] for pair in pairs]) / period_s * 100,
         bone_deviation_mm=_pooled([bone_deviations(e) for e, _ in pairs]) * 1e3,
         flips_per_1000=1e3 * flips / frames if frames else np.nan,
-        exchanged=sum(int(each.any(1).sum()) for each in sides) / frames if frames else np.nan,
+        exchanged=sum(int(limbs.any(1).sum()) for limbs in sides) / frames if frames else np.nan,
         lag_ms=lag_frames(estimates, truths) * period_s * 1e3,
     )
 
@@ -98,13 +98,15 @@ def bone_deviations(estimate: Float[ndarray, "t 18 3"]) -> Float[ndarray, " b"]:
 
 def exchanged_limbs(estimate: Float[ndarray, "t 18 3"], truth: Float[ndarray, "t 18 3"]) -> Bool[ndarray, "t 2"]:
     """Frames in which the legs, the arms are nearer to the true ones of the other side, by half."""
-    as_is = np.linalg.norm(estimate - truth, axis=-1)
-    other = np.linalg.norm(estimate - truth[:, MIRROR], axis=-1)
-    columns = []
+    same_side = np.linalg.norm(estimate - truth, axis=-1)
+    mirrored = np.linalg.norm(estimate - truth[:, MIRROR], axis=-1)
+    flags = []
     for limb in LIMBS:
-        pair = limb_joints(limb)
-        columns.append(other[:, pair].sum(1) < 0.5 * as_is[:, pair].sum(1))  # false where any is NaN
-    return np.stack(columns, axis=1)
+        limb_columns = limb_joints(limb)
+        flags.append(
+            mirrored[:, limb_columns].sum(1) < 0.5 * same_side[:, limb_columns].sum(1)
+        )  # false where any is NaN
+    return np.stack(flags, axis=1)
 
 
 def lag_frames(estimates: Sequence[Float[ndarray, "_ 18 3"]], truths: Sequence[Float[ndarray, "_ 18 3"]]) -> float:

@@ -15,8 +15,8 @@ from depthmocap.core.console import Terminal
 from depthmocap.core.locks import owns
 from depthmocap.datasets.ubc3v import CAMERAS, image_paths, iterate, sections
 from depthmocap.errors import InputError
+from depthmocap.evaluate.accuracy import Labels, check_views, measure_accuracy, print_numbers
 from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, write_outputs
-from depthmocap.evaluate.synthetic import Labels, check_views, measure, print_numbers
 from depthmocap.pose.estimators import load_estimator
 
 
@@ -55,7 +55,7 @@ def evaluate_ubc3v(settings: Ubc3vEvaluation, console: Console | None = None) ->
         raise InputError(f"--limit must be at least 1, got {settings.limit}")
     console = console or Terminal(stderr=True)
     paths = sections(settings.root, settings.subset, settings.split)
-    # By the folders alone, so that nobody waits for hours to be told; of none, the reader tells more.
+    # Only the folders are counted, so that the error comes at once; without a folder the reader's error says more.
     cameras = max(sum(image_paths(path, name, 0)[0].parent.is_dir() for name in CAMERAS) for path in paths)
     if 0 < cameras < settings.views:
         raise InputError(f"--views must be at most {cameras}, the cameras of {settings.root}, got {settings.views}")
@@ -65,16 +65,16 @@ def evaluate_ubc3v(settings: Ubc3vEvaluation, console: Console | None = None) ->
     frames = iterate(settings.root, settings.subset, settings.split, settings.limit, problems=problems)
     with Progress(console=console) as progress:
         title = f"{settings.subset}/{settings.split} ({len(paths)} sections)"
-        found = measure(
+        accuracy = measure_accuracy(
             progress.track(frames, settings.limit, description=title), settings.views, estimator, classifier
         )
-    if found is None:
+    if accuracy is None:
         raise InputError(f"{settings.root}: no sample of {settings.subset}/{settings.split} has labels and joints")
     numbers = {
         "data": str(settings.root),
         "subset": settings.subset,
         "split": settings.split,
-        **found,
+        **accuracy,
         "problems": problems,
     }
     name = f"{settings.subset}/{settings.split}"

@@ -1,4 +1,4 @@
-"""Estimates of moving people, made once and kept: what the filters over time are measured on."""
+"""Estimates of moving people, stored on disk: the input of the evaluation of temporal filters."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ _ARRAYS = {
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Track:
-    """One sequence: true joints, and those estimated from 1 … v of its cameras (NaN and confidence 0 where none)."""
+class SequenceEstimates:
+    """One sequence: true joints, and joints estimated from 1 … v of its cameras (NaN and confidence 0 without one)."""
 
     name: str
     timestamps_ns: Int[ndarray, "t"]
@@ -41,24 +41,26 @@ class Track:
     def poses(self, views: int) -> list[Pose]:
         """The estimates from the first so many cameras."""
         joints, confidence = self.joints[views - 1], self.confidence[views - 1]
-        return [Pose(*each) for each in zip(self.timestamps_ns.tolist(), joints, confidence, strict=True)]
+        return [Pose(*row) for row in zip(self.timestamps_ns.tolist(), joints, confidence, strict=True)]
 
 
-def estimate_track(name: str, frames: Iterable[FrameSet], classifier: Classifier, estimator: JointEstimator) -> Track:
+def estimate_sequence(
+    name: str, frames: Iterable[FrameSet], classifier: Classifier, estimator: JointEstimator
+) -> SequenceEstimates:
     """Joints of frames with true masks and joints, frame by frame, nothing smoothed."""
     stamps, truths, joints, confidences = [], [], [], []
     for frame in frames:
         parts = label_people(frame.views, classifier, "z")
-        found = [estimator(merge_views(parts[:count]), "z") for count in range(1, len(parts) + 1)]
+        estimates = [estimator(merge_views(parts[:count]), "z") for count in range(1, len(parts) + 1)]
         stamps.append(frame.timestamp_ns)
         truths.append(frame.true_joints)
-        joints.append(np.stack([each for each, _ in found]))
-        confidences.append(np.stack([each for _, each in found]))
-    return Track(name, np.array(stamps), np.stack(truths), np.stack(joints, 1), np.stack(confidences, 1))
+        joints.append(np.stack([array for array, _ in estimates]))
+        confidences.append(np.stack([array for _, array in estimates]))
+    return SequenceEstimates(name, np.array(stamps), np.stack(truths), np.stack(joints, 1), np.stack(confidences, 1))
 
 
-class TrackStore:
-    """Tracks in a folder, with the settings that made them; a run that was cut short goes on."""
+class EstimateStore:
+    """Estimates in a folder, with the settings that made them; an interrupted run continues."""
 
     def __init__(self, folder: Path, settings: dict[str, object]) -> None:
         """Open or begin a folder.
@@ -72,8 +74,8 @@ class TrackStore:
             raise InputError(f"{path} is of other settings: choose another --out, or delete that folder")
         write_file(path, text)
 
-    def load(self, index: int) -> Track | None:
-        """The track of a sequence, if it is there.
+    def load(self, index: int) -> SequenceEstimates | None:
+        """The estimates of a sequence; None where the file does not exist.
 
         Raises:
             InputError: when its file cannot be read.
@@ -85,12 +87,12 @@ class TrackStore:
             data = read_npz(path, {"name": ArrayType("", "U"), **_ARRAYS})
         except InputError as error:
             raise InputError(f"{path} is not a file of estimates ({why(error, path)}): delete it") from None
-        return Track(str(data["name"]), *(data[key] for key in _ARRAYS))
+        return SequenceEstimates(str(data["name"]), *(data[key] for key in _ARRAYS))
 
-    def save(self, index: int, track: Track) -> None:
-        """Keep a track; a file is there whole or not at all."""
+    def save(self, index: int, sequence: SequenceEstimates) -> None:
+        """Write the estimates of a sequence; the file is complete or not there at all."""
         with replacing(self._path(index)) as unfinished:
-            np.savez(unfinished, name=track.name, **{key: getattr(track, key) for key in _ARRAYS})
+            np.savez(unfinished, name=sequence.name, **{key: getattr(sequence, key) for key in _ARRAYS})
 
     def _path(self, index: int) -> Path:
         return self._folder / f"{index:04d}.npz"

@@ -1,7 +1,7 @@
-"""Moving people for measuring over time: continuous motion of known joints, seen by depth cameras with their errors.
+"""Moving people with known joints, seen by depth cameras with their errors: sequences for temporal metrics.
 
-Motion is of clips, or eased from posture to posture of the packaged prior. Clips give postures only, so the way over
-the floor follows from the feet: the one that stands stays where it is. Every sequence ends at rest.
+Motion comes from clips, or is interpolated between postures of the packaged prior. Clips hold postures only, so the
+trajectory over the floor follows from the feet: the supporting foot does not slip. Each sequence ends at rest.
 """
 
 from __future__ import annotations
@@ -29,33 +29,41 @@ from depthmocap.synth.sample import CameraRange, Split, random_camera
 from depthmocap.synth.sensing.sensor import sense
 from depthmocap.synth.sensing.sensors import SensorPreset
 
-#: Frames a second; that of clips as they are read.
+#: Frames per second, the rate of clips as they are read.
 FPS = 30.0
-#: A sequence ends with a stop eased over the first, and rest for the second time.
-STOP_S, REST_S = 0.4, 0.7
-#: The pelvis keeps this near to the middle of its way, so that cameras that stand still see it.
+#: A sequence slows down to a stop over its last seconds.
+STOP_S = 0.4
+#: Then it rests for this long, seconds.
+REST_S = 0.7
+#: Largest distance of the pelvis from the middle of its trajectory, metres, so that fixed cameras see the person.
 REACH_M = 1.0
-#: Cameras stand where a moving person stays in the picture.
+#: Camera positions from which a moving person stays in the image.
 CAMERAS = CameraRange(distance_m=(2.4, 3.8), height_m=(0.8, 2.3))
-#: A foot carries the body when it is about this much lower than the other.
+#: A foot supports the body when it is about this much lower than the other, metres.
 _STANDING_M = 0.015
-#: Of the prior: seconds from posture to posture, the longest turn between two, and how long each is held.
-_CHANGE_S, _TURN_RAD, _HOLD_S = (0.5, 1.2), 0.7, 0.3
+#: Postures of the prior: time from one to the next, seconds.
+_CHANGE_S = (0.5, 1.2)
+#: Largest turn between two of them, radians.
+_TURN_RAD = 0.7
+#: How long each is held, seconds.
+_HOLD_S = 0.3
 _FEET = [JOINT_INDEX["LFoot"], JOINT_INDEX["RFoot"]]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Motion:
-    """Postures at ``FPS`` frames a second, and where they are from."""
+class PostureSequence:
+    """Postures at ``FPS`` frames per second, and the name of their source."""
 
     name: str
     postures: Float[ndarray, "t 20 3"]
 
 
-def clip_motions(folder: Path, split: Split, count: int, seconds: float, rng: np.random.Generator) -> Iterator[Motion]:
+def clip_motions(
+    folder: Path, split: Split, count: int, seconds: float, rng: np.random.Generator
+) -> Iterator[PostureSequence]:
     """Parts of a split's clips, one of each clip, in random order: ``seconds`` of motion, then rest.
 
-    Clips that are shorter, that travel too far, or of whose frames any is impossible are passed over.
+    Clips are skipped when they are shorter, travel too far, or have an impossible frame.
 
     Raises:
         InputError: when the folder has fewer such clips.
@@ -63,25 +71,25 @@ def clip_motions(folder: Path, split: Split, count: int, seconds: float, rng: np
     clips = ClipFolder.open(folder)
     files = [path for path in clips.files if split_of(path.stem) == split]
     files = [files[i] for i in rng.permutation(len(files))]
-    found = 0
+    made = 0
     body = BodyModel.load().shape(Phenotype())
     for clip in dataclasses.replace(clips, files=files).read(anny_rest()):
-        if found == count:
+        if made == count:
             return
         if isinstance(clip, Clip) and len(clip.postures) == clip.frames:
-            part = _liveliest(body, clip.postures.astype(np.float64), round(seconds * FPS))
+            part = _most_active(body, clip.postures.astype(np.float64), round(seconds * FPS))
             if part is not None:
-                found += 1
-                yield Motion(clip.name, _to_rest(part))
-    if found < count:
+                made += 1
+                yield PostureSequence(clip.name, _to_rest(part))
+    if made < count:
         raise InputError(
-            f"{folder}: {found} clips of the {split} split have {seconds:g} s of motion within {REACH_M} m, "
+            f"{folder}: {made} clips of the {split} split have {seconds:g} s of motion within {REACH_M} m, "
             f"{count} are wanted; lower --sequences or --seconds, or give more clips"
         )
 
 
-def prior_motions(count: int, seconds: float, rng: np.random.Generator) -> Iterator[Motion]:
-    """Motion from posture to posture of the packaged prior, each held a while; then rest."""
+def prior_motions(count: int, seconds: float, rng: np.random.Generator) -> Iterator[PostureSequence]:
+    """PostureSequence from posture to posture of the packaged prior, each held a while; then rest."""
     prior = PosturePrior.load()
     for index in range(count):
         times, keys = [0.0], [prior.sample(rng)[0]]
@@ -92,7 +100,7 @@ def prior_motions(count: int, seconds: float, rng: np.random.Generator) -> Itera
             times += [times[-1] + _HOLD_S, times[-1] + _HOLD_S + rng.uniform(*_CHANGE_S)]
             keys += [keys[-1], following]
         at = np.arange(round(seconds * FPS)) / FPS
-        yield Motion(f"prior {index}", _to_rest(_between(np.array(times), np.stack(keys), at, eased=True)))
+        yield PostureSequence(f"prior {index}", _to_rest(_between(np.array(times), np.stack(keys), at, eased=True)))
 
 
 def _between(
@@ -118,26 +126,25 @@ def _to_rest(postures: Float[ndarray, "t 20 3"]) -> Float[ndarray, "u 20 3"]:
     return _between(np.arange(len(postures), dtype=float), postures, np.minimum(at, last))
 
 
-def _liveliest(body: Body, postures: Float[ndarray, "n 20 3"], length: int) -> Float[ndarray, "t 20 3"] | None:
-    """The ``length`` frames that turn the bones most of those that stay within reach; None where there are none."""
+def _most_active(body: Body, postures: Float[ndarray, "n 20 3"], length: int) -> Float[ndarray, "t 20 3"] | None:
+    """The ``length`` frames with the most rotation of the bones that stay within reach; None where there are none."""
     if len(postures) < length:
         return None
-    way = np.lib.stride_tricks.sliding_window_view(way_over_floor(body, postures), length, axis=0)
-    near = np.ptp(way, axis=-1).max(1) <= 2 * REACH_M
-    if not near.any():
+    windows = np.lib.stride_tricks.sliding_window_view(pelvis_trajectory(body, postures), length, axis=0)
+    in_reach = np.ptp(windows, axis=-1).max(1) <= 2 * REACH_M
+    if not in_reach.any():
         return None
     flat = Rotation.from_rotvec(postures.reshape(-1, 3))
     bones = postures.shape[1]
     turns = (flat[:-bones].inv() * flat[bones:]).magnitude().reshape(-1, bones).sum(1)
     total = np.concatenate([[0.0], np.cumsum(turns)])
-    lively = np.where(near, total[length - 1 :] - total[: len(near)], -1.0)
-    first = int(lively.argmax())
+    activity = np.where(in_reach, total[length - 1 :] - total[: len(in_reach)], -1.0)
+    first = int(activity.argmax())
     return postures[first : first + length]
 
 
-def way_over_floor(body: Body, postures: Float[ndarray, "t 20 3"]) -> Float[ndarray, "t 2"]:
-    """How far the pelvis is from where it is at rest, in x and y, when the foot that carries the body does not slip;
-    around the origin."""
+def pelvis_trajectory(body: Body, postures: Float[ndarray, "t 20 3"]) -> Float[ndarray, "t 2"]:
+    """Displacement of the pelvis in x and y (metres), about the origin, such that the supporting foot does not slip."""
     bones = body.model.joint_bones[_FEET]
     feet = np.stack([body.bone_transforms(posture).heads[bones] for posture in postures]).astype(np.float64)
     height = feet[:, :, 2] - feet[:, :, 2].min(1, keepdims=True)
@@ -145,49 +152,49 @@ def way_over_floor(body: Body, postures: Float[ndarray, "t 20 3"]) -> Float[ndar
     load /= load.sum(1, keepdims=True)
     load = (load[1:] + load[:-1]) / 2
     steps = -(load[:, :, None] * np.diff(feet[:, :, :2], axis=0)).sum(1)
-    way = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    return way - (way.max(0) + way.min(0)) / 2
+    trajectory = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    return trajectory - (trajectory.max(0) + trajectory.min(0)) / 2
 
 
 def moving_frames(
-    motion: Motion,
+    motion: PostureSequence,
     views: int,
     sensors: tuple[SensorPreset, ...],
     rng: np.random.Generator,
     out_of_step_s: float = 0.0,
 ) -> Iterator[FrameSet]:
-    """The motion of a random dressed person on the floor z = 0, as random cameras see it, with true masks and joints.
+    """A random dressed person moves on the floor z = 0 and random cameras look on, with true masks and joints.
 
-    Frame times count from 0, and are what the true joints are of. All cameras look at that instant, or each up to
-    ``out_of_step_s`` before or after it, always by as much; the frame's time is then the median of theirs, as when
-    frames are synchronised. Person, cameras and random numbers are the same either way.
+    Timestamps start at 0; the true joints are those at the timestamp. All cameras capture at that time, or each with a
+    constant offset of up to ``out_of_step_s``. The timestamp is then the median of the cameras' times, as in
+    synchronisation. Person, cameras and random numbers do not depend on the offsets.
     """
     step_rng = rng.spawn(1)[0]
     dressed = random_dressed(rng, "open")
-    way = np.pad(way_over_floor(dressed.body, motion.postures), ((0, 0), (0, 1)))
-    middle = _standing(dressed, motion.postures[0], np.zeros(3)).body
+    trajectory = np.pad(pelvis_trajectory(dressed.body, motion.postures), ((0, 0), (0, 1)))
+    first_pose = _standing(dressed, motion.postures[0], np.zeros(3)).body
     presets = [sensors[int(rng.integers(len(sensors)))] for _ in range(views)]
-    cameras = [random_camera(rng, middle, CAMERAS, preset, f"cam{i}") for i, preset in enumerate(presets)]
+    cameras = [random_camera(rng, first_pose, CAMERAS, preset, f"cam{i}") for i, preset in enumerate(presets)]
     steps = step_rng.uniform(-out_of_step_s, out_of_step_s, views)
-    times = np.arange(len(way)) + (steps - np.median(steps))[:, None] * FPS
-    moments = [_moments(motion.postures, way, at) for at in times]
-    for index, (posture, offset) in enumerate(zip(motion.postures, way, strict=True)):
+    times = np.arange(len(trajectory)) + (steps - np.median(steps))[:, None] * FPS
+    motions = [_at_times(motion.postures, trajectory, at) for at in times]
+    for index, (posture, offset) in enumerate(zip(motion.postures, trajectory, strict=True)):
         person = _standing(dressed, posture, offset)
-        seen = []
-        for camera, preset, at, (postures, offsets) in zip(cameras, presets, times, moments, strict=True):
-            shown = person if at[index] == index else _standing(dressed, postures[index], offsets[index])
-            drawn = render_person(shown, camera)
+        captured = []
+        for camera, preset, at, (postures, offsets) in zip(cameras, presets, times, motions, strict=True):
+            posed = person if at[index] == index else _standing(dressed, postures[index], offsets[index])
+            drawn = render_person(posed, camera)
             depth = sense(drawn.depth_m, drawn.material, camera, preset.model, rng)
-            seen.append(View(camera, depth, drawn.person & (depth > 0)))
-        yield FrameSet(round(index / FPS * 1e9), tuple(seen), person.joints)
+            captured.append(View(camera, depth, drawn.person & (depth > 0)))
+        yield FrameSet(round(index / FPS * 1e9), tuple(captured), person.joints)
 
 
-def _moments(
-    postures: Float[ndarray, "t 20 3"], way: Float[ndarray, "t 3"], at: Float[ndarray, "n"]
+def _at_times(
+    postures: Float[ndarray, "t 20 3"], trajectory: Float[ndarray, "t 3"], at: Float[ndarray, "n"]
 ) -> tuple[Float[ndarray, "n 20 3"], Float[ndarray, "n 3"]]:
-    """Postures and places at times between the frames (frame numbers); before the first and after the last, theirs."""
+    """Postures and positions at times in frame numbers, interpolated; constant before the first and after the last."""
     frames = np.arange(len(postures), dtype=float)
-    places = np.stack([np.interp(at, frames, axis) for axis in way.T], axis=1)
+    places = np.stack([np.interp(at, frames, axis) for axis in trajectory.T], axis=1)
     return _between(frames, postures, np.clip(at, 0, frames[-1])), places
 
 

@@ -1,6 +1,6 @@
-"""A story in a furnished room, as cameras with their errors see it.
+"""A scenario in a furnished room, seen by depth cameras with their errors.
 
-Everything is known: whose every pixel is, and where everybody's joints are.
+Ground truth is complete: the person of every pixel, and the joints of every person.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINT_INDEX
-from depthmocap.evaluate.scenarios import HALF_X, HALF_Y, Stage, Story
+from depthmocap.evaluate.scenarios import HALF_X, HALF_Y, Scenario, Stage
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import Rig, look_at
 from depthmocap.synth.render import Material, render_person
@@ -23,12 +23,12 @@ from depthmocap.synth.sensing.sensors import SENSORS, SensorPreset
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Moment:
-    """A set of frames and the truth about it.
+class SceneFrame:
+    """A frame set and its ground truth.
 
     Attributes:
-        masks: by person and view: who is seen, where the depth is valid.
-        joints: by person; NaN while they are not in the room.
+        masks: by person and view: pixels of valid depth that show the person.
+        joints: by person, in metres; NaN while the person is not in the room.
     """
 
     frames: FrameSet
@@ -36,25 +36,28 @@ class Moment:
     joints: tuple[Float[ndarray, "18 3"], ...]
 
 
-class Encounter:
-    """One scene, drawn from a generator.
+class SyntheticScene:
+    """A random scene: cameras, people and their trajectories.
 
     Attributes:
         rig: the cameras.
-        backgrounds_m: what each camera reads of the room before anybody comes.
+        backgrounds_m: by camera name: depth of the empty room, as the sensor reads it.
+        times_s: time of each frame.
     """
 
-    def __init__(self, rng: np.random.Generator, story: Story, cameras: int = 3, rate_hz: float = 15.0) -> None:
-        """Draw cameras, people and their ways."""
-        self.times_s = np.arange(round(story.seconds * rate_hz)) / rate_hz
+    def __init__(self, rng: np.random.Generator, scenario: Scenario, cameras: int = 3, rate_hz: float = 15.0) -> None:
+        """Draw cameras, people and their trajectories."""
+        self.times_s = np.arange(round(scenario.seconds * rate_hz)) / rate_hz
         self._seed = int(rng.integers(2**32))
         presets = [SENSORS["kinect2"], SENSORS["azure-nfov-binned"]]
         self._presets = [presets[i % 2] for i in range(cameras)]
         self.rig = Rig(tuple(_mount(rng, i, cameras, preset) for i, preset in enumerate(self._presets)))
         self._chair = np.array([rng.uniform(1.0, 1.4), rng.uniform(-1.4, -1.0)])
-        people = story.cast(rng)
-        self._people = tuple(zip(people, story.ways(rng, Stage(people, self._chair, self.times_s)), strict=True))
-        self._pushed_s = story.pushed_s
+        actors = scenario.actors(rng)
+        self._people = tuple(
+            zip(actors, scenario.trajectories(rng, Stage(actors, self._chair, self.times_s)), strict=True)
+        )
+        self._chair_pushed_s = scenario.chair_pushed_s
         self._rooms = {shift: self._draw_room(shift) for shift in (0.0, 1.0)}
         noise = np.random.default_rng([self._seed, 1])
         self.backgrounds_m = {}
@@ -64,47 +67,47 @@ class Encounter:
 
     @property
     def count(self) -> int:
-        """How many people there are."""
+        """Number of people."""
         return len(self._people)
 
-    def moments(self, *, alone: bool = False) -> Iterator[Moment]:
-        """All sets, with everybody or the first person only; noise is the same whenever it is asked for."""
+    def frames(self, *, alone: bool = False) -> Iterator[SceneFrame]:
+        """All frame sets, with everybody or with the first person only. The noise is the same at every call."""
         present = [not alone or k == 0 for k in range(self.count)]
         rng = np.random.default_rng([self._seed, 2])
         for i, time_s in enumerate(self.times_s):
             shift = 0.0
-            if self._pushed_s is not None and not alone:
-                begin_s, end_s = self._pushed_s
+            if self._chair_pushed_s is not None and not alone:
+                begin_s, end_s = self._chair_pushed_s
                 shift = float(np.clip((time_s - begin_s) / (end_s - begin_s), 0, 1))
             rooms = self._rooms.get(shift) or self._draw_room(shift)
             posed = [
-                dressed.pose(motion.postures[i]).moved(np.eye(3), motion.offsets[i]) if here else None
-                for (dressed, motion), here in zip(self._people, present, strict=True)
+                dressed.pose(motion.postures[i]).moved(np.eye(3), motion.offsets[i]) if is_present else None
+                for (dressed, motion), is_present in zip(self._people, present, strict=True)
             ]
             views, masks = [], []
             for camera, preset, room_m in zip(self.rig.cameras, self._presets, rooms, strict=True):
                 depth_m, material = room_m, np.full(room_m.shape, Material.SCENE, np.uint8)
-                who = np.zeros(room_m.shape, np.uint8)
+                person_at = np.zeros(room_m.shape, np.uint8)
                 for k, person in enumerate(posed):
                     if person is not None:
                         drawn = render_person(person, camera, depth_m, material)
                         nearer = drawn.person & (drawn.depth_m < np.where(depth_m > 0, depth_m, np.inf))
-                        who[nearer] = k + 1
+                        person_at[nearer] = k + 1
                         depth_m, material = drawn.depth_m, drawn.material
                 read_m = sense(depth_m, material, camera, preset.model, rng)
                 views.append(View(camera, read_m))
-                masks.append([(who == k + 1) & (read_m > 0) for k in range(self.count)])
+                masks.append([(person_at == k + 1) & (read_m > 0) for k in range(self.count)])
             joints = tuple(
                 person.joints if person is not None and _inside(person.joints) else np.full((18, 3), np.nan)
                 for person in posed
             )
-            yield Moment(
+            yield SceneFrame(
                 FrameSet(round(float(time_s) * 1e9), tuple(views), joints[0] if joints else None),
-                tuple(tuple(each[k] for each in masks) for k in range(self.count)), joints,
+                tuple(tuple(of_view[k] for of_view in masks) for k in range(self.count)), joints,
             )  # fmt: skip
 
     def _draw_room(self, shift: float) -> list[Float[ndarray, "_ _"]]:
-        """What each camera would read of the room without errors; the chair is at the share ``shift`` of its way."""
+        """Exact depth of the room by camera. The chair has been pushed by the share ``shift`` (0–1) of its path."""
         x, y = self._chair + shift * np.array([0.6, -0.3])
         chair = (
             Box((x - 0.22, y - 0.22, 0.4), (x + 0.22, y + 0.22, 0.46)),
@@ -128,7 +131,7 @@ def _inside(joints: Float[ndarray, "18 3"]) -> bool:
 
 
 def _mount(rng: np.random.Generator, index: int, count: int, preset: SensorPreset):
-    """A camera near the walls, all around, which looks at the middle."""
+    """A camera near the walls that looks at the middle; the cameras stand all around."""
     azimuth = 2 * np.pi * (index + 0.3 + rng.uniform(-0.15, 0.15)) / count
     reach = rng.uniform(2.5, 2.7)
     eye = np.array([reach * np.sin(azimuth), -reach * np.cos(azimuth), rng.uniform(1.5, 2.2)])

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from depthmocap.evaluate.encounter import Moment
-from depthmocap.evaluate.people_scenes import Following
+from depthmocap.evaluate.people_protocol import TrackingScore
+from depthmocap.evaluate.synthetic_scene import SceneFrame
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import DepthCamera
 from depthmocap.segment.people_segmenter import PeopleSegmenter, PersonMasks
@@ -39,15 +39,15 @@ class ByList(PeopleSegmenter):
 @pytest.mark.parametrize(
     ("returns", "outcome"), [((1, 2), (2, 0, 0)), ((1, 3), (1, 1, 0)), ((2, 1), (0, 0, 2)), ((2, 3), (0, 1, 1))]
 )
-def test_returns_are_told_by_the_number_that_is_given(returns, outcome):
-    following = Following()
+def test_returns_count_by_the_number_of_the_track(returns, outcome):
+    score = TrackingScore()
     numbers = [(1, 2)] * 3 + [(0, 0)] * 3 + [returns] * 3
-    following.begin(ByList(numbers), 2)
-    for i, given in enumerate(numbers):
-        masks = tuple((square(k) if number else NOBODY,) for k, number in enumerate(given))
+    score.start_scene(ByList(numbers), 2)
+    for i, listed in enumerate(numbers):
+        masks = tuple((square(k) if number else NOBODY,) for k, number in enumerate(listed))
         frames = FrameSet(i * 10**9, (View(CAMERA, np.ones((8, 8), np.float32)),))
-        following.add(Moment(frames, masks, (np.full((18, 3), np.nan),) * 2))
-    row = following.numbers()
+        score.add(SceneFrame(frames, masks, (np.full((18, 3), np.nan),) * 2))
+    row = score.numbers()
     assert (row["returns_old"], row["returns_new"], row["returns_wrong"]) == outcome
     assert row["switches"] == sum(number != old for number, old in zip(returns, (1, 2), strict=True))
     assert (row["found_share"], row["arrivals"], row["ghost_sets"]) == (1.0, 4, 0)

@@ -1,4 +1,4 @@
-"""What the pipeline finds in the frames of an annotated set, kept beside the truth: all that a protocol works on."""
+"""Estimates for the frames of an annotated set, together with the ground truth: the input of a protocol."""
 
 from __future__ import annotations
 
@@ -28,25 +28,28 @@ from depthmocap.text import joined
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Observations:
-    """Frames of a set with known joints, and what was found in each. Points are metres in the world turned Z-up.
+class EstimatedFrames:
+    """Frames with known joints, and the estimate of each. Points are in metres, in the world turned Z-up.
 
     Attributes:
-        name: of the set; ``joints`` and ``ours`` as in ``AnnotatedSet``.
-        estimates: our joints, NaN in frames where nobody was found.
-        confidence: of our joints.
-        centres: of the body's regions, NaN where unseen.
-        frame: of the body; of no meaning in frames where nobody was found.
+        name: name of the set.
+        joints: the set's joints, as in ``AnnotatedSet``.
+        correspondence: our joint of some of them, as in ``AnnotatedSet``.
+        estimates: our joints, NaN in frames without a detected person.
+        confidence: confidence of our joints.
+        centres: centres of the body's regions, NaN where no camera sees the region.
+        frame: the body's coordinate frame; without meaning in frames without a detected person.
         truths: the set's joints, NaN where unknown.
-        subjects: and ``actions``, of each frame.
-        milliseconds: from masked depth to joints.
-        left_out: frames without any known joint or view, which are not in the arrays.
+        subjects: the person in each frame.
+        actions: the action in each frame.
+        milliseconds: time from masked depth to joints.
+        left_out: number of frames without a known joint or without a view; they are not in the arrays.
         problems: what could not be read.
     """
 
     name: str
     joints: tuple[str, ...]
-    ours: Mapping[str, str]
+    correspondence: Mapping[str, str]
     estimates: Float[ndarray, "n 18 3"]
     confidence: Float[ndarray, "n 18"]
     centres: Float[ndarray, "n 43 3"]
@@ -62,46 +65,51 @@ class Observations:
         return len(self.truths)
 
     @property
-    def found(self) -> Bool[ndarray, "n"]:
-        """Frames in which somebody was found."""
+    def detected(self) -> Bool[ndarray, "n"]:
+        """Frames with a detected person."""
         return np.asarray(~np.isnan(self.estimates).any((1, 2)))
 
     @property
-    def base(self) -> Int[ndarray, "j"]:
-        """Our joint (its index) that corresponds to each of the set's; -1 where none does."""
-        return np.array([JOINT_INDEX[self.ours[joint]] if joint in self.ours else -1 for joint in self.joints])
+    def corresponding(self) -> Int[ndarray, "j"]:
+        """Index of our joint that corresponds to each joint of the set; -1 where none does."""
+        return np.array(
+            [JOINT_INDEX[self.correspondence[joint]] if joint in self.correspondence else -1 for joint in self.joints]
+        )
 
     def mapped(self) -> Float[ndarray, "n j 3"]:
-        """Our joints where the set's correspond to one, NaN elsewhere: the estimate without any fitting."""
-        return np.where((self.base >= 0)[:, None], self.estimates[:, self.base], np.nan)
+        """Our corresponding joint of each joint of the set, NaN where none does: the estimate without a fit."""
+        return np.where((self.corresponding >= 0)[:, None], self.estimates[:, self.corresponding], np.nan)
 
     def joint_confidence(self) -> Float[ndarray, "n j"]:
         """The confidence of the corresponding joint; NaN where none does."""
-        return np.where(self.base >= 0, self.confidence[:, self.base], np.nan)
+        return np.where(self.corresponding >= 0, self.confidence[:, self.corresponding], np.nan)
 
-    def rows(self, chosen: Bool[ndarray, "n"]) -> Observations:
+    def rows(self, selected: Bool[ndarray, "n"]) -> EstimatedFrames:
         """Some of the frames."""
         arrays = ("estimates", "confidence", "centres", "truths", "subjects", "actions", "milliseconds")
-        frame = BodyFrame(self.frame.origin[chosen], self.frame.turn[chosen])
-        return dataclasses.replace(self, frame=frame, **{name: getattr(self, name)[chosen] for name in arrays})
+        frame = BodyFrame(self.frame.origin[selected], self.frame.turn[selected])
+        return dataclasses.replace(self, frame=frame, **{name: getattr(self, name)[selected] for name in arrays})
 
-    def only(self, joints: tuple[str, ...]) -> Observations:
+    def only(self, joints: tuple[str, ...]) -> EstimatedFrames:
         """Some of the set's joints, by name."""
         columns = [self.joints.index(joint) for joint in joints]
         return dataclasses.replace(self, joints=joints, truths=self.truths[:, columns])
 
 
-def observe(
+def estimate_frames(
     source: AnnotatedSet,
     estimator: JointEstimator,
     classifier: Classifier,
     every: int = 1,
     console: Console | None = None,
-) -> Observations:
-    """Run the pipeline, without smoothing, over every so-many-th frame of a set.
+) -> EstimatedFrames:
+    """Run the pipeline, without smoothing, over the frames of a set.
+
+    Args:
+        every: read every ``every``-th frame only.
 
     Raises:
-        InputError: when no frame has a view and a known joint; it tells what the reader noticed.
+        InputError: when no frame has a view and a known joint; the message holds the reader's problems.
     """
     if every < 1:
         raise InputError(f"--every must be at least 1, got {every}")
@@ -116,7 +124,7 @@ def observe(
             if not frame.views or not np.isfinite(frame.joints_world).all(1).any():
                 left_out += 1
                 continue
-            row = _look(frame, source.up, estimator, classifier)
+            row = _estimate_frame(frame, source.up, estimator, classifier)
             # A joint with one unknown coordinate is unknown.
             known = np.isfinite(frame.joints_world).all(1, keepdims=True)
             row["truths"] = np.where(known, frame.joints_world, np.nan).astype(np.float64) @ turn
@@ -130,8 +138,8 @@ def observe(
         raise InputError(f"{source.name}: no frame has a view and known joints ({left_out} had not): {reasons}")
     arrays = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
     frame = BodyFrame(arrays.pop("origin"), arrays.pop("turn"))
-    return Observations(
-        source.name, source.joints, source.ours, **arrays, frame=frame,
+    return EstimatedFrames(
+        source.name, source.joints, source.correspondence, **arrays, frame=frame,
         subjects=np.array(subjects), actions=np.array(actions), left_out=left_out, problems=problems,
     )  # fmt: skip
 
@@ -141,8 +149,10 @@ def _length(source: AnnotatedSet, every: int) -> int | None:
     return None if size is None else -(-size() // every)
 
 
-def _look(frame: AnnotatedFrame, up: str, estimator: JointEstimator, classifier: Classifier) -> dict[str, ndarray]:
-    """What is found in one frame; joints in its own world, regions and the body's frame in the world turned Z-up."""
+def _estimate_frame(
+    frame: AnnotatedFrame, up: str, estimator: JointEstimator, classifier: Classifier
+) -> dict[str, ndarray]:
+    """The estimate of one frame: joints in its own world; regions and the body's frame in the world turned Z-up."""
     start = time.perf_counter()
     cloud = merge_views(label_people(frame.views, classifier, up))
     joints, confidence = estimator(cloud, up)
@@ -158,6 +168,6 @@ def _look(frame: AnnotatedFrame, up: str, estimator: JointEstimator, classifier:
     regions = parts[:, :REGION_COUNT]
     weights = (regions[..., AREA] * regions[..., PROBABILITY]).astype(np.float64)
     total = weights.sum(0)
-    seen = total > 0
-    row["centres"][seen] = np.einsum("vr,vrc->rc", weights, regions[..., CENTRE])[seen] / total[seen, None]
+    visible = total > 0
+    row["centres"][visible] = np.einsum("vr,vrc->rc", weights, regions[..., CENTRE])[visible] / total[visible, None]
     return row | {"origin": body.origin, "turn": body.turn}
