@@ -14,6 +14,8 @@ from depthmocap.geometry import DepthCamera, look_at
 from depthmocap.synth.body.bones import POSTURE_INDEX
 from depthmocap.synth.body.mesh import REST_POSTURE, Body
 from depthmocap.synth.motion.postures import PosturePrior
+from depthmocap.synth.people.garments import clothe
+from depthmocap.synth.people.wardrobe import Clothes, Garment
 from depthmocap.synth.render import Layer, Material, PosedPerson, render_person
 from depthmocap.synth.scenes import furniture
 from depthmocap.synth.scenes.furniture import AGAINST_WALLS, FREE_STANDING, yaw
@@ -266,11 +268,14 @@ def test_held_things_are_at_the_hands_and_worn_ones_on_the_body(people: list[Pos
     assert held_count > 8 and worn_count > 8
 
 
-def test_a_backpack_is_on_the_back(default_body: Body) -> None:
-    """Facing −Y, it is seen from +Y and hides the back; its straps are seen from −Y."""
+@pytest.mark.parametrize("padded", [False, True])
+def test_a_backpack_is_on_the_back(default_body: Body, padded: bool) -> None:
+    """Facing −Y, it is seen from +Y and hides the back; its straps are seen from −Y, over a thick jacket, too."""
     from depthmocap.synth.scenes import worn
 
-    person = PosedPerson(default_body.pose(REST_POSTURE))
+    jacket = Garment("puffer", 0.05, slack_m=0.02, sag=0.9, hem=0.05, neck=0.03, sleeve=1.95)
+    clothes = Clothes((jacket,) if padded else ())
+    person = clothe(default_body, clothes, np.random.default_rng(0)).pose(REST_POSTURE)
     trunk = worn._trunk(person)
     pack, straps = worn._backpack(np.random.default_rng(0), trunk)
     assert pack.frames[0, 1, 3] > person.joints[HIP, 1]

@@ -19,6 +19,8 @@ from depthmocap.synth.scenes.solids import NONE, Solids, box, capsule, chain, el
 
 #: Length of an adult's trunk, hips to neck, which worn things are scaled by (metres).
 _TRUNK_M = 0.59
+#: Cloth stands off the trunk by no more than this, and off the shoulders (metres).
+_THICKEST_M, _PADDING_M = 0.09, 0.045
 _TRUNK = ("chest", "belly", "upper back", "lower back", "collar", "shoulder front", "shoulder back", "nape")
 _HEAD = ("forehead", "hair", "face")
 
@@ -47,12 +49,16 @@ class _Trunk:
         surface = float(skin.max()) if len(skin) else 0.12 * self.scale
         cloth = around(self.cloth)
         # What is farther out is cloth of the arms or hangs loose, and gives way.
-        return side * max([surface, *cloth[cloth < surface + 0.06]])
+        return side * max([surface, *cloth[cloth < surface + _THICKEST_M]])
 
     def shoulder(self, x: float) -> float:
-        """Height of the shoulder at a place across."""
-        near = self.skin[np.abs(self.skin[:, 0] - x) < 0.04, 2]
-        return float(near.max()) + 0.01 if len(near) else self.length
+        """Height of the clothed shoulder at a place across."""
+        near = self.skin[np.abs(self.skin[:, 0] - x) < 0.04]
+        if not len(near):
+            return self.length
+        top = near[near[:, 2].argmax()]
+        cloth = self.cloth[(np.abs(self.cloth[:, :2] - [x, top[1]]) < 0.04).all(1), 2]
+        return max([float(top[2]), *cloth[cloth < top[2] + _PADDING_M]]) + 0.01
 
     def to_world(self, points: list[tuple[float, float, float]]) -> Float[ndarray, "n 3"]:
         return np.array(points, dtype=float) @ self.world_from_trunk.T + self.origin
