@@ -6,7 +6,7 @@ ifneq ($(shell uname -s),Darwin)  # the package index has no RealSense SDK for m
 EXTRAS := $(EXTRAS),realsense
 endif
 
-.PHONY: demo test body fuzz lint benchmark docs clean
+.PHONY: demo test body fuzz lint benchmark results docs clean
 
 # The main job on the packaged recording: base install, no torch, no network but the package index.
 demo: $(VENV)/base
@@ -31,6 +31,10 @@ lint: $(VENV)/dev
 
 benchmark: $(VENV)/body
 	$(BIN)/python benchmarks/run.py
+
+# The tables of results made anew and written into the pages: hours of one core, which may be spent in parts.
+results: $(VENV)/body
+	$(BIN)/python benchmarks/results.py $(CLIPS)
 
 # The site, into out/site; it is built from the pages, the code and the commands' own help.
 docs: $(VENV)/docs
