@@ -31,7 +31,7 @@ from depthmocap.cameras.source import DepthFrame
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.offline.pipeline import Pipeline
 from depthmocap.offline.pipeline_settings import load_pipeline
-from depthmocap.realtime.live_capture import EmptyScenes, LiveCapture, warm
+from depthmocap.realtime.live_capture import BackgroundSource, LiveCapture, warm_up
 from depthmocap.realtime.mcap_recorder import McapRecorder
 from depthmocap.realtime.sync import SyncSettings
 from depthmocap.recordings.mcap_recording import McapRecording
@@ -180,17 +180,17 @@ def _windows_memory_mb() -> float:
 
 
 def prepare(settings: SoakSettings) -> tuple[RecordedScene, Pipeline]:
-    """What the cameras see, and the pipeline, warm. The empty scene is known."""
+    """What the cameras see, and the pipeline, warmed up. The empty scene is known."""
     if settings.recording is not None:
         source = open_recording(settings.recording)
         rig = Rig(tuple(camera for camera in source.rig.cameras if source.stamps(camera.name)), source.up)
-        pipeline = warm(load_pipeline(source), source[0])
+        pipeline = warm_up(load_pipeline(source), source[0])
         return RecordedScene(source, rig, 1e9 / source.period_ns), pipeline
     from studio import Studio  # needs the extra train
 
     studio = Studio(settings.scene_seconds, settings.rate_hz)
     sets = list(studio)
-    pipeline = warm(load_pipeline(EmptyScenes(studio.rig, studio.backgrounds_m)), sets[0])
+    pipeline = warm_up(load_pipeline(BackgroundSource(studio.rig, studio.backgrounds_m)), sets[0])
     return RecordedScene(sets, studio.rig, settings.rate_hz), pipeline
 
 
@@ -207,7 +207,7 @@ def soak(settings: SoakSettings, folder: Path, console: Console) -> dict[str, An
     cameras = [SimulatedCamera(simulation, name, zero_ns) for name in rig.names]
     memory: list[tuple[float, float]] = []
     capture = LiveCapture(cameras, rig, pipeline, SyncSettings(settings.rate_hz), measure_rate=False)
-    capture.gatherer.recorder = recorder
+    capture.reader.recorder = recorder
     with console.status(f"running for {settings.minutes:g} minutes"), capture:
         begun, cpu = time.monotonic(), time.process_time()
         for _ in capture:
@@ -220,10 +220,10 @@ def soak(settings: SoakSettings, folder: Path, console: Console) -> dict[str, An
         "settings": {**dataclasses.asdict(settings), "recording": settings.recording and str(settings.recording)},
         "seconds": elapsed,
         "cpu_cores": cpu / elapsed,
-        "sets_per_second": capture.books.poses / elapsed,
+        "sets_per_second": capture.statistics.poses / elapsed,
         "sets_dropped": capture.dropped,
-        "frames_overrun": capture.gatherer.overrun,
-        **capture.books.summary(),
+        "frames_overrun": capture.reader.overrun,
+        **capture.statistics.summary(),
         "memory": _growth(memory),
         "frames_sent": sent,
         "cameras": {status.name: dataclasses.asdict(status) for status in statuses},

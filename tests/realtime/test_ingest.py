@@ -7,7 +7,7 @@ import pytest
 from camera_simulator import Faults, Simulation
 from fakes import Board, fake_pipeline
 
-from depthmocap.realtime.ingest import Intake, frame_set, recorded_frames
+from depthmocap.realtime.ingest import FrameIngest, frame_set, recorded_frames
 from depthmocap.realtime.problems import Problems
 from depthmocap.realtime.status import camera_statuses
 from depthmocap.realtime.sync import SyncSettings
@@ -29,14 +29,14 @@ FAULTS = {
 @pytest.fixture(scope="module")
 def outcome():
     scene = Board()
-    intake = Intake(SyncSettings(30.0))
+    ingest = FrameIngest(SyncSettings(30.0))
     for camera in scene.rig.cameras:
-        intake.add_camera(camera)
+        ingest.add_camera(camera)
     simulation = Simulation(scene, 30.0, 20.0, FAULTS)
     true = {(event.camera, event.timestamp_ns): event.exposure_ns for event in simulation.events()}
-    sets = list(intake.run(event.frame() for event in simulation.events()))
+    sets = list(ingest.run(event.frame() for event in simulation.events()))
     exposures = [{name: true[name, frame.timestamp_ns] for name, frame in left.frames.items()} for left in sets]
-    return intake, sets, exposures
+    return ingest, sets, exposures
 
 
 def seconds(sets):
@@ -58,23 +58,23 @@ def test_frames_of_a_set_are_of_one_instant(outcome):
 
 
 def test_broken_pictures_are_left_out_counted_and_told_of(outcome):
-    intake, _, exposures = outcome
+    ingest, _, exposures = outcome
     times = {
         name: np.array([(own[name] - 1_000_000_000) * 1e-9 for own in exposures if name in own]) for name in FAULTS
     }
     for name, (begin, end) in {"cam0": (4.5, 6.0), "cam2": (3.0, 4.0), "cam3": (11.0, 12.0)}.items():
         assert not ((times[name] >= begin) & (times[name] < end)).any(), name
-    assert set(intake.faults["cam0"]) == {"frozen"}
-    assert intake.faults["cam2"]["noise"] == pytest.approx(28, abs=4)
-    assert intake.faults["cam3"]["dark"] == pytest.approx(28, abs=4)
-    assert sum("cam3" in line for line in intake.problems.told()) == 1
+    assert set(ingest.faults["cam0"]) == {"frozen"}
+    assert ingest.faults["cam2"]["noise"] == pytest.approx(28, abs=4)
+    assert ingest.faults["cam3"]["dark"] == pytest.approx(28, abs=4)
+    assert sum("cam3" in line for line in ingest.problems.counts()) == 1
     dark = "camera 'cam3': no pixel has depth: is it covered, or too near to something?"
-    assert intake.problems.told()[dark] == intake.faults["cam3"]["dark"]
+    assert ingest.problems.counts()[dark] == ingest.faults["cam3"]["dark"]
 
 
 def test_clocks_that_jump_are_told(outcome):
-    intake, _, _ = outcome
-    jumps = {line: times for line, times in intake.problems.told().items() if "clock" in line}
+    ingest, _, _ = outcome
+    jumps = {line: times for line, times in ingest.problems.counts().items() if "clock" in line}
     assert jumps == {
         "camera 'cam1': its clock went back, or its frames were held up for a second": 1,  # it was unplugged
         "camera 'cam2': its clock went back, or its frames were held up for a second": 1,
@@ -84,9 +84,9 @@ def test_clocks_that_jump_are_told(outcome):
 
 def test_a_camera_whose_time_runs_backwards_is_left_out_and_told_of():
     scene = Board(2)
-    intake = Intake(SyncSettings(30.0))
+    ingest = FrameIngest(SyncSettings(30.0))
     for camera in scene.rig.cameras:
-        intake.add_camera(camera)
+        ingest.add_camera(camera)
 
     def backwards():
         for event in Simulation(scene, 30.0, 4.0).events():
@@ -95,11 +95,11 @@ def test_a_camera_whose_time_runs_backwards_is_left_out_and_told_of():
                 frame = dataclasses.replace(frame, timestamp_ns=10**12 - frame.timestamp_ns)
             yield frame
 
-    sets = list(intake.run(backwards()))
+    sets = list(ingest.run(backwards()))
     assert sum("cam0" in left.frames for left in sets) == 120
     assert not any("cam1" in left.frames for left in sets[20:])
-    assert intake.problems.told()["camera 'cam1': its time runs backwards or stands still: reconnect it"] == 110
-    statuses = camera_statuses(intake, {"cam0": "running", "cam1": "running"}, sets[-1].timestamp_ns)
+    assert ingest.problems.counts()["camera 'cam1': its time runs backwards or stands still: reconnect it"] == 110
+    statuses = camera_statuses(ingest, {"cam0": "running", "cam1": "running"}, sets[-1].timestamp_ns)
     assert [status.state for status in statuses] == ["running", "clock: left out"]
 
 
@@ -114,12 +114,12 @@ def test_cameras_that_return_are_back_within_half_a_second(outcome):
 
 
 def test_a_set_becomes_views_in_metres(outcome):
-    intake, sets, _ = outcome
-    frames = frame_set(sets[0], intake.cameras)
-    names = [name for name in intake.cameras if name in sets[0].frames]
+    ingest, sets, _ = outcome
+    frames = frame_set(sets[0], ingest.cameras)
+    names = [name for name in ingest.cameras if name in sets[0].frames]
     assert [view.camera.name for view in frames.views] == names
     late = dataclasses.replace(sets[0], frames=dict(reversed(sets[0].frames.items())))
-    assert [view.camera.name for view in frame_set(late, intake.cameras).views] == names
+    assert [view.camera.name for view in frame_set(late, ingest.cameras).views] == names
     assert frames.views[0].depth_m.mean() == pytest.approx(3.0, abs=0.1)
     assert np.isfinite(fake_pipeline()(frames).pose.joints).all()
 
@@ -135,9 +135,9 @@ def test_a_recording_gives_its_own_sets(tmp_path):
     bad = sorted((tmp_path / "recording" / "cam0").glob("*.png"))[12]
     bad.write_bytes(bad.read_bytes()[:-30])
     recording, problems = Recording(tmp_path / "recording"), Problems()
-    intake = Intake(SyncSettings(25.0))
+    ingest = FrameIngest(SyncSettings(25.0))
     for camera in recording.rig.cameras:
-        intake.add_camera(camera)
-    sets = list(intake.run(recorded_frames(recording, problems)))
+        ingest.add_camera(camera)
+    sets = list(ingest.run(recorded_frames(recording, problems)))
     assert [len(left.frames) for left in sets] == [1 if i in (7, 12) else 2 for i in range(20)]
-    assert [bad.name in line for line in problems.told()] == [True]
+    assert [bad.name in line for line in problems.counts()] == [True]

@@ -30,12 +30,12 @@ def test_a_camera_that_comes_later_is_in_the_recording(tmp_path, virtual):
         SyncSettings(20.0),
         False,
     ) as capture:
-        gatherer = capture.gatherer
-        with McapWriter(tmp_path / "take.mcap", Rig(tuple(gatherer.cameras.values()))) as writer:
-            gatherer.recorder = McapRecorder(writer, gatherer.camera)
+        reader = capture.reader
+        with McapWriter(tmp_path / "take.mcap", Rig(tuple(reader.cameras.values()))) as writer:
+            reader.recorder = McapRecorder(writer, reader.camera)
             for _ in itertools.islice(capture, 20):
                 pass
-            capture.gatherer.add(SimulatedCamera(simulation, "cam1", virtual.monotonic_ns()))
+            capture.reader.add(SimulatedCamera(simulation, "cam1", virtual.monotonic_ns()))
             for _ in itertools.islice(capture, 20):
                 pass
             capture.stop()
@@ -68,7 +68,7 @@ def test_frames_that_cannot_be_recorded_do_not_end_the_recording(tmp_path, virtu
     source = Odd(Simulation(scene, 20.0, 1.0), "cam0", virtual.monotonic_ns())
     capture = LiveCapture([source], None, fake_pipeline(), SyncSettings(20.0), False)
     with McapWriter(tmp_path / "take.mcap", scene.rig) as writer:
-        capture.gatherer.recorder = McapRecorder(writer, capture.gatherer.camera)
+        capture.reader.recorder = McapRecorder(writer, capture.reader.camera)
         with capture:
             assert len(list(capture)) > 5
         with pytest.raises(InputError, match="has a camera 'cam0' already"):

@@ -19,9 +19,9 @@ from depthmocap.core.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.realtime import record as record_module
-from depthmocap.realtime.gather import Gatherer
-from depthmocap.realtime.multi_camera_reader import ENDED, RUNNING, Readers
+from depthmocap.realtime.multi_camera_reader import ENDED, RUNNING, MultiCameraReader
 from depthmocap.realtime.record import RecordSettings, record
+from depthmocap.realtime.synced_reader import SyncedReader
 from depthmocap.recordings.mcap_recording import McapRecording
 from depthmocap.recordings.recording_writer import RecordingWriter
 
@@ -177,23 +177,23 @@ class Heard:
 
 def test_what_is_known_stays_as_it_was_when_it_was_taken(virtual: VirtualTime) -> None:
     heard = Heard()
-    readers = Readers([Camera("a", virtual)], None, heard)
-    before = readers.known
+    readers = MultiCameraReader([Camera("a", virtual)], None, heard)
+    before = readers.states
     with readers:
-        running = readers.known
+        running = readers.states
         readers.add(Camera("b", virtual, 5))
         virtual.sleep(1.0)
-        later = readers.known
+        later = readers.states
         readers.remove("a")
         with pytest.raises(InputError, match="no camera 'a': there are b"):
             readers.remove("a")
     assert [(name, each.state) for name, each in before.items()] == [("a", "opening")]
     assert [(name, each.state) for name, each in running.items()] == [("a", RUNNING)]
-    assert [(name, each.state, each.over) for name, each in later.items()] == [
+    assert [(name, each.state, each.finished) for name, each in later.items()] == [
         ("a", RUNNING, False),
         ("b", ENDED, True),
     ]
-    assert list(readers.known) == ["b"]
+    assert list(readers.states) == ["b"]
     assert heard.cameras == ["a", "b"]
     assert heard.frames.count("b") == 5
     with pytest.raises(TypeError):
@@ -211,15 +211,15 @@ def test_a_removed_camera_that_hangs_has_no_say_about_its_successor(virtual: Vir
             raise CameraError("it was unplugged")
 
     heard = Heard()
-    with Readers([Camera("a", virtual, before=hang)], None, heard) as readers:
+    with MultiCameraReader([Camera("a", virtual, before=hang)], None, heard) as readers:
         virtual.sleep(1.0)
         readers.remove("a")
         readers.add(Camera("a", virtual))
         virtual.sleep(1.0)
         go_on.set()
         virtual.sleep(1.0)
-        assert readers.known["a"].state == RUNNING
-        assert readers.known["a"].failures == 0
+        assert readers.states["a"].state == RUNNING
+        assert readers.states["a"].failures == 0
 
 
 class Flickering(DepthSource):
@@ -252,28 +252,28 @@ def test_whoever_looks_while_cameras_come_and_go_sees_one_consistent_picture() -
     errors: list[str] = []
     looks = [0, 0]
     stop = threading.Event()
-    gatherer = Gatherer([Flickering("stays")], measure_rate=False)
+    reader = SyncedReader([Flickering("stays")], measure_rate=False)
 
     def come_and_go(prefix: str) -> None:
         number = 0
         while not stop.is_set():
             number += 1
             try:
-                gatherer.add(Flickering(f"{prefix}{number % 3}"))
+                reader.add(Flickering(f"{prefix}{number % 3}"))
                 time.sleep(0.003)
-                gatherer.remove(f"{prefix}{number % 3}")
+                reader.remove(f"{prefix}{number % 3}")
             except Exception as error:
                 errors.append(repr(error))
 
     def look(index: int) -> None:
         while not stop.is_set():
             try:
-                names = [status.name for status in gatherer.statuses()]
+                names = [status.name for status in reader.statuses()]
                 if names[0] != "stays" or len(set(names)) != len(names):
                     errors.append(f"names {names}")
-                if any(camera.name != name for name, camera in gatherer.cameras.items()):
+                if any(camera.name != name for name, camera in reader.cameras.items()):
                     errors.append("another camera's name")
-                if any(times < 1 for times in gatherer.problems.told().values()):
+                if any(times < 1 for times in reader.problems.counts().values()):
                     errors.append("a problem that was never so")
             except Exception as error:
                 errors.append(repr(error))
@@ -282,7 +282,7 @@ def test_whoever_looks_while_cameras_come_and_go_sees_one_consistent_picture() -
     interval_s = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
     try:
-        with gatherer:
+        with reader:
             threads = [threading.Thread(target=come_and_go, args=(prefix,)) for prefix in "xy"]
             threads += [threading.Thread(target=look, args=(index,)) for index in range(2)]
             for thread in threads:
@@ -295,4 +295,4 @@ def test_whoever_looks_while_cameras_come_and_go_sees_one_consistent_picture() -
         sys.setswitchinterval(interval_s)
     assert errors == []
     assert min(looks) > 5
-    assert next(status.name for status in gatherer.statuses()) == "stays"
+    assert next(status.name for status in reader.statuses()) == "stays"

@@ -1,12 +1,12 @@
-"""A camera's clock against the host's, estimated on the run from pairs of device timestamp and arrival.
+"""Offset and drift of a camera's clock against the host's, estimated while running from device and arrival times.
 
     arrival = (1 + drift) device + offset + delay,   delay ≥ 0
 
-Delays are one-sided and of unknown spread, so a regression would follow their mean; the frames that came through at
-once tell the clock. Of all lines under the pairs, the one nearest to them in sum is taken: a linear programme whose
-solution is the edge of the lower convex hull over the mean time (Moon, Skelly and Towsley, INFOCOM 1999). The least
-delay of a camera cannot be seen this way: where cameras of different makes differ by more than some milliseconds in it,
-it has to be given.
+Delays are never negative and their spread is unknown, so a regression would follow their mean. The frames with the
+least delay tell the clock. Of all lines under the pairs, the estimate is the one whose distances to them have the
+smallest sum. This linear programme is solved by the edge of the lower convex hull at the mean time (Moon, Skelly and
+Towsley, INFOCOM 1999). A camera's least delay cannot be estimated this way: it has to be given where cameras of
+different makes differ in it by more than a few milliseconds.
 """
 
 from __future__ import annotations
@@ -17,45 +17,54 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-#: One pair, the least delayed, is kept of each stretch of this length (seconds), for the last so many stretches.
+#: Length (seconds) of the intervals of which only the least delayed pair is kept.
 STRETCH_S = 0.5
+#: Number of these intervals that are kept.
 STRETCHES = 240
-#: The drift is fitted once the pairs span so many seconds; over less, delays would pass for drift.
+#: The drift is fitted once the pairs span so many seconds; over a shorter span, delays would look like drift.
 DRIFT_SPAN_S = 8.0
-#: Larger drifts (a share of one) are no clock's.
+#: No clock has a larger drift (a ratio).
 LARGEST_DRIFT = 0.002
-#: A frame this much (seconds) ahead of the line cannot be: the clock jumped, or the line is still young.
-AHEAD_S, AHEAD_YOUNG_S = 0.008, 0.05
-#: Behind the line a frame may be late. It is a jump if frames agree on it for a while, or if it is this large.
-BEHIND_S, FAR_BEHIND_S = 0.05, 1.0
+#: A frame can only be further ahead of the line (seconds) if the clock jumped.
+AHEAD_S = 0.008
+#: The same while the pairs span less than ``DRIFT_SPAN_S``, when the line is still uncertain.
+AHEAD_YOUNG_S = 0.05
+#: A frame further behind the line (seconds) is late, or the clock jumped back.
+BEHIND_S = 0.05
+#: A frame further behind the line (seconds) is never only late.
+FAR_BEHIND_S = 1.0
+#: Frames less far behind must agree for so long (seconds) before they count as a jump.
 BEHIND_FOR_S = 1.0
-#: So many frames in a row must agree on a jump, to within this, for at least this long (seconds): frames that were held
-#: up come all at once.
-CONFIRMATIONS, AGREEMENT_S, AGREEMENT_FOR_S = 3, 0.05, 0.06
+#: So many frames in a row must agree on a jump.
+CONFIRMATIONS = 3
+#: They must agree to within this (seconds).
+AGREEMENT_S = 0.05
+#: They must agree for at least so long (seconds), because delayed frames all arrive at once.
+AGREEMENT_FOR_S = 0.06
 
 
 class ClockTracker:
-    """Host time of a device's timestamps. Time is linear between restarts; a clock that jumps starts anew.
+    """Converts a device's timestamps to host time. The relation is linear between jumps; a jump restarts the estimate.
 
     Attributes:
-        restarts: jumps found so far.
+        restarts: number of jumps so far.
         went_back: whether the last of them was backwards.
     """
 
     def __init__(self) -> None:
         self.restarts, self.went_back = 0, False
-        self._suspects: list[tuple[float, int, int]] = []
-        self._begun = False
+        self._jump_pairs: list[tuple[float, int, int]] = []
+        self._started = False
 
     @property
     def drift_ppm(self) -> float:
-        """How much the host gains on the device, in millionths; 0 until enough was seen."""
-        return self._drift * 1e6 if self._begun else 0.0
+        """Drift of the host's clock against the device's, in millionths; 0 until the pairs span enough time."""
+        return self._drift * 1e6 if self._started else 0.0
 
     @property
     def span_s(self) -> float:
-        """Seconds of pairs that the estimate rests on."""
-        return self._points[-1][0] - self._points[0][0] if self._begun and self._points else 0.0
+        """Time span (seconds) of the pairs from which the clock is estimated."""
+        return self._points[-1][0] - self._points[0][0] if self._started and self._points else 0.0
 
     def offset_s(self, device_ns: int) -> float:
         """Host time minus device time at a device timestamp, seconds.
@@ -71,14 +80,14 @@ class ClockTracker:
         Raises:
             ValueError: before the first pair.
         """
-        if not self._begun:
+        if not self._started:
             raise ValueError("no pair of timestamps was given yet: call update first")
         since_s = (device_ns - self._device0) * 1e-9
         return self._arrival0 + (device_ns - self._device0) + round(self._line(since_s) * 1e9)
 
     def update(self, device_ns: int, arrival_ns: int) -> int | None:
-        """Take one frame's pair; gives its host time of exposure, or None while its clock seems to have jumped."""
-        if not self._begun:
+        """Add a frame's times; returns its host time of exposure, or None while its clock seems to have jumped."""
+        if not self._started:
             self._start(device_ns, arrival_ns)
             return self.host_ns(device_ns)
         # Differences of integers: nanoseconds since 1970 do not fit in a double.
@@ -87,29 +96,29 @@ class ClockTracker:
         late_s = delay_s - self._line(since_s)
         ahead_s = AHEAD_S if self.span_s >= DRIFT_SPAN_S else AHEAD_YOUNG_S
         if late_s < -ahead_s or late_s > BEHIND_S:
-            if self._jumped(late_s, device_ns, arrival_ns):
+            if self._confirm_jump(late_s, device_ns, arrival_ns):
                 return self.host_ns(device_ns)
-            # Late frames are believed meanwhile; a frame from the future, or from long ago, is not.
+            # Frames that are only late are used meanwhile; a frame from the future, or from long ago, is not.
             return self.host_ns(device_ns) if 0 < late_s < FAR_BEHIND_S else None
-        self._suspects.clear()
-        self._take(since_s, delay_s, late_s)
+        self._jump_pairs.clear()
+        self._add_pair(since_s, delay_s, late_s)
         return self.host_ns(device_ns)
 
     def _line(self, since_s: float) -> float:
-        """Delay (seconds, relative to the first pair) of a frame that comes through at once."""
+        """Delay (seconds, relative to the first pair) of a frame with the least delay."""
         return self._base_s + self._drift * (since_s - self._about_s)
 
     def _start(self, device_ns: int, arrival_ns: int) -> None:
         self._device0, self._arrival0 = device_ns, arrival_ns
         self._base_s, self._drift, self._about_s = 0.0, 0.0, 0.0
-        #: (time, delay) of the least delayed pair of each stretch; the last one is still open.
+        #: (time, delay) of the least delayed pair of each interval; the last interval is still open.
         self._points: collections.deque[tuple[float, float]] = collections.deque(maxlen=STRETCHES)
         self._points.append((0.0, 0.0))
         self._stretch, self._least_late_s = 0, 0.0
-        self._suspects.clear()
-        self._begun = True
+        self._jump_pairs.clear()
+        self._started = True
 
-    def _take(self, since_s: float, delay_s: float, late_s: float) -> None:
+    def _add_pair(self, since_s: float, delay_s: float, late_s: float) -> None:
         stretch = int(since_s // STRETCH_S)
         if stretch > self._stretch:
             self._refit()
@@ -130,27 +139,27 @@ class ClockTracker:
         self._base_s, drift = lower_edge(points, self._about_s)
         self._drift = float(np.clip(drift, -LARGEST_DRIFT, LARGEST_DRIFT))
 
-    def _jumped(self, late_s: float, device_ns: int, arrival_ns: int) -> bool:
-        """Whether the frames since the clock was last believed agree that it jumped; then it starts anew with them."""
-        if self._suspects and abs(late_s - self._suspects[0][0]) > AGREEMENT_S:
-            self._suspects.clear()
-        self._suspects.append((late_s, device_ns, arrival_ns))
-        for_s = (arrival_ns - self._suspects[0][2]) * 1e-9
-        if len(self._suspects) < CONFIRMATIONS:
+    def _confirm_jump(self, late_s: float, device_ns: int, arrival_ns: int) -> bool:
+        """Whether the latest doubtful frames agree that the clock jumped; if so, the estimate restarts from them."""
+        if self._jump_pairs and abs(late_s - self._jump_pairs[0][0]) > AGREEMENT_S:
+            self._jump_pairs.clear()
+        self._jump_pairs.append((late_s, device_ns, arrival_ns))
+        for_s = (arrival_ns - self._jump_pairs[0][2]) * 1e-9
+        if len(self._jump_pairs) < CONFIRMATIONS:
             return False
         if for_s < (BEHIND_FOR_S if 0 < late_s < FAR_BEHIND_S else AGREEMENT_FOR_S):
             return False
-        # The least delayed of them, so that the new line starts under as many as possible.
-        _, device, arrival = min(self._suspects, key=lambda suspect: suspect[0])
+        # Starts from the least delayed frame, so that the new line lies under as many as possible.
+        _, device, arrival = min(self._jump_pairs, key=lambda suspect: suspect[0])
         self._start(device, arrival)
         self.restarts, self.went_back = self.restarts + 1, late_s > 0
         return True
 
 
 def lower_edge(points: Float[ndarray, "n 2"], about: float) -> tuple[float, float]:
-    """Height at ``about`` and slope of the edge of the points' lower convex hull there.
+    """Height and slope of the points' lower convex hull at ``about``.
 
-    The hull's height is the least that any segment between a point on the left and one on the right has there.
+    The hull's height is the smallest height that any segment from a point on the left to one on the right has there.
     """
     left, right = points[points[:, 0] <= about], points[points[:, 0] > about]
     run = right[None, :, 0] - left[:, None, 0]

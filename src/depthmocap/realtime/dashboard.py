@@ -1,4 +1,4 @@
-"""The terminal's view of a running motion capture."""
+"""The dashboard of a running motion capture in the terminal."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from depthmocap.realtime.status import Books, CameraStatus
+from depthmocap.realtime.status import CameraStatus, RunStatistics
 from depthmocap.text import harmless
 
 
@@ -18,10 +18,10 @@ def _number(value: float, digits: int = 1) -> str:
 
 
 def draw_dashboard(
-    cameras: Sequence[CameraStatus], books: Books, dropped: int, seconds: float, problems: Sequence[str]
+    cameras: Sequence[CameraStatus], statistics: RunStatistics, dropped: int, seconds: float, problems: Sequence[str]
 ) -> Group:
-    """Cameras, stages and the last problems as one picture."""
-    table = Table(title=f"{seconds:.0f} s, {books.poses} poses, {dropped} sets dropped", title_justify="left")
+    """Cameras, stages and the latest problems as one renderable."""
+    table = Table(title=f"{seconds:.0f} s, {statistics.poses} poses, {dropped} sets dropped", title_justify="left")
     for column in ("camera", "frames/s", "frames", "missing", "late", "left out", "drift ppm", "clock jumps", "state"):
         table.add_column(column, justify="left" if column in ("camera", "state") else "right")
     for camera in cameras:
@@ -36,12 +36,13 @@ def draw_dashboard(
         )  # fmt: skip
     stages = Table()
     stages.add_column("ms")
-    meters = {**books.stages, "latency": books.latency, "skew": books.skew}
+    meters = {**statistics.stages, "latency": statistics.latency, "skew": statistics.skew}
     for name in meters:
         stages.add_column(name, justify="right")
     recent = [meter.recent() for meter in meters.values()]
     stages.add_row("p50", *(_number(p50) for p50, _ in recent))
     stages.add_row("p95", *(_number(p95) for _, p95 in recent))
-    here = ", ".join(map(str, books.present)) or "nobody"
-    people = Text(f"in view: {here}; so far {len(books.people)} {'person' if len(books.people) == 1 else 'people'}")
+    here = ", ".join(map(str, statistics.present)) or "nobody"
+    count = len(statistics.people)
+    people = Text(f"in view: {here}; so far {count} {'person' if count == 1 else 'people'}")
     return Group(table, stages, people, *(Text(harmless(f"• {problem}"), "yellow") for problem in list(problems)[-4:]))

@@ -1,4 +1,4 @@
-"""What frames go through on the way into sets: a look at their health, the synchroniser, and the books about both."""
+"""Frames on their way into sets: health checks, the synchroniser, and counts of both."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from depthmocap.realtime.sync import SyncedSet, Synchroniser, SyncSettings
 from depthmocap.recordings.recording import Recording
 
 
-class Intake:
-    """Frames in, sets out. Single-threaded; time is what the caller says it is.
+class FrameIngest:
+    """Takes frames and gives sets. For one thread only; the caller tells the time.
 
     Attributes:
-        cameras: by name, as the rig places them.
-        faults: frames that were left out, by camera and fault.
-        ailing: what is wrong with each camera's last frame.
-        problems: what a user should know, one line each, and how often it was so.
+        cameras: cameras by name, with their poses in the rig.
+        faults: numbers of frames that were left out, by camera and fault.
+        last_faults: the fault of each camera's last frame.
+        problems: messages for the user, one line each, and how often each occurred.
     """
 
     def __init__(self, settings: SyncSettings, problems: Problems | None = None) -> None:
         self.sync = Synchroniser(settings)
         self.cameras: dict[str, DepthCamera] = {}
         self.faults: dict[str, dict[Fault, int]] = {}
-        self.ailing: dict[str, Fault] = {}
+        self.last_faults: dict[str, Fault] = {}
         self.problems = problems or Problems()
         self._checks: dict[str, HealthCheck] = {}
         self._restarts: dict[str, int] = {}
 
     def add_camera(self, camera: DepthCamera) -> None:
-        """Expect frames of a camera; one that was there before continues."""
+        """Expect frames of a camera; a camera that was there before continues."""
         if camera.name not in self.cameras:
             self.sync.add_camera(camera.name)
             self.faults[camera.name] = {}
@@ -43,16 +43,16 @@ class Intake:
 
     def remove_camera(self, name: str) -> None:
         """Expect no more frames of a camera."""
-        for known in (self.cameras, self.faults, self.ailing, self._checks, self._restarts):
-            known.pop(name, None)
+        for table in (self.cameras, self.faults, self.last_faults, self._checks, self._restarts):
+            table.pop(name, None)
         self.sync.remove_camera(name)
 
     def add(self, frame: DepthFrame) -> None:
-        """Take a frame; one that cannot be right is left out, counted, and told of once."""
+        """Take a frame; a faulty one is left out, counted and reported."""
         name = frame.camera
         if name not in self.cameras:
             return
-        fault = self.ailing[name] = self._checks[name](frame.raw, frame.timestamp_ns)
+        fault = self.last_faults[name] = self._checks[name](frame.raw, frame.timestamp_ns)
         if fault:
             self.faults[name][fault] = self.faults[name].get(fault, 0) + 1
             self.problems.add(f"camera {name!r}: {FAULTS[fault]}")
@@ -61,12 +61,12 @@ class Intake:
         clock = self.sync.clock(name)
         if clock is not None and clock.restarts > self._restarts.setdefault(name, clock.restarts):
             self._restarts[name] = clock.restarts
-            # Which of the two it is cannot be told from times alone.
+            # Times alone cannot tell which of the two it is.
             what = "went back, or its frames were held up for a second" if clock.went_back else "jumped ahead"
             self.problems.add(f"camera {name!r}: its clock {what}")
 
     def run(self, frames: Iterable[DepthFrame]) -> Iterator[SyncedSet]:
-        """All sets of frames that come in order of arrival, in their own time, however long anyone takes."""
+        """All sets of frames that come in order of arrival. The caller's speed has no influence."""
         for frame in frames:
             while (due_ns := self.sync.next_deadline_ns()) is not None and due_ns < frame.arrival_ns:
                 yield from self.sync.poll(due_ns)
@@ -76,7 +76,7 @@ class Intake:
 
 
 def frame_set(synced: SyncedSet, cameras: dict[str, DepthCamera]) -> FrameSet:
-    """A set in metres, with the cameras that took it, in the order of ``cameras``: not in that of arrival."""
+    """The set in metres, with its cameras, in the order of ``cameras``, which does not depend on arrival."""
     views = tuple(
         View(camera, camera.to_metres(synced.frames[name].raw))
         for name, camera in cameras.items()
@@ -86,9 +86,9 @@ def frame_set(synced: SyncedSet, cameras: dict[str, DepthCamera]) -> FrameSet:
 
 
 def recorded_frames(recording: Recording, problems: Problems) -> Iterator[DepthFrame]:
-    """The frames of a recording in order of time, as if each had arrived at the time it was recorded for.
+    """The frames of a recording in order of time, as if each had arrived at its recorded time.
 
-    Frames that cannot be read are left out, and told of in ``problems``.
+    Frames that cannot be read are left out, and reported in ``problems``.
     """
     order = sorted((stamp, name) for name in recording.rig.names for stamp in recording.stamps(name))
     for stamp, camera in order:

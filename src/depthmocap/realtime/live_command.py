@@ -1,4 +1,4 @@
-"""``depthmocap live``: cameras, or a recording in their place, to a folder of skeletons, with a dashboard."""
+"""``depthmocap live``: motion capture of cameras, or of a recording in their place, with a dashboard."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from depthmocap.recordings.mcap_writer import McapWriter, check_name
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.text import joined
 
-#: The dashboard is drawn so often.
+#: Seconds from one drawing of the dashboard to the next.
 DRAW_S = 0.25
 
 
@@ -73,7 +73,7 @@ class LiveSettings(PipelineSettings):
 
 @owns(folder="out")
 def run_live(settings: LiveSettings, console: Console | None = None) -> RunResult:
-    """Run until the end, ``seconds`` or Ctrl-C, and write everything.
+    """Run until the end, ``seconds`` or Ctrl-C, and write all results.
 
     Raises:
         InputError: when a setting is out of range, a source is not what it says, no camera can be opened, or no set
@@ -90,38 +90,38 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> RunResul
     if settings.record is not None:
         check_name("--record", settings.record)
     with contextlib.ExitStack() as stack:
-        capture = stack.enter_context(_capture(settings, console))
+        capture = stack.enter_context(_make_capture(settings, console))
         if settings.record is not None:
             if isinstance(capture, Replay):
                 raise InputError("--record needs --realtime: played as fast as it goes, a recording is only read")
-            rig = Rig(tuple(capture.gatherer.cameras.values()), capture.up)
+            rig = Rig(tuple(capture.reader.cameras.values()), capture.up)
             backgrounds = {name: raw for name, raw in capture.raw_backgrounds().items() if name in rig.names}
             writer = stack.enter_context(McapWriter(settings.record, rig, backgrounds))
-            capture.gatherer.recorder = McapRecorder(writer, capture.gatherer.camera)
+            capture.reader.recorder = McapRecorder(writer, capture.reader.camera)
             stack.callback(capture.stop)  # before the file is closed, into which cameras write
         if settings.out is not None:
             remove_results(settings.out)
         take.up = capture.up
         files = stack.enter_context(PoseFiles(settings.out, take))
-        everybody = None
+        people_files = None
         if settings.out is not None and settings.people > 1:
-            everybody = stack.enter_context(PeopleFiles(settings.out, take))
+            people_files = stack.enter_context(PeopleFiles(settings.out, take))
         if settings.seconds is not None and isinstance(capture, LiveCapture):
             capture.stop_after(settings.seconds)
-        _follow(capture, take, files, everybody, settings.seconds, console)
-    if not capture.books.poses:
-        known = joined(capture.problems, 3)
-        if capture.before_ready:
+        _write_poses(capture, take, files, people_files, settings.seconds, console)
+    if not capture.statistics.poses:
+        problems = joined(capture.problems, 3)
+        if capture.sets_before_ready:
             raise InputError(
-                f"no set of frames came once it was ready for poses, and {capture.before_ready} before; on a new "
-                f"machine that takes longest: try again{known and f' ({known})'}"
+                f"no set of frames came once it was ready for poses, and {capture.sets_before_ready} before; on a new "
+                f"machine that takes longest: try again{problems and f' ({problems})'}"
             )
-        raise InputError(f"no set of frames came: {known or 'are the cameras running?'}")
-    _tell(files.summary, settings, console)
+        raise InputError(f"no set of frames came: {problems or 'are the cameras running?'}")
+    _report(files.summary, settings, console)
     return RunResult(settings.out, files.summary)
 
 
-def _capture(settings: LiveSettings, console: Console) -> LiveCapture | Replay:
+def _make_capture(settings: LiveSettings, console: Console) -> LiveCapture | Replay:
     make_pipeline = functools.partial(load_pipeline, settings=settings)
     rig = load_rig(settings.rig) if settings.rig else None
     sync = SyncSettings(settings.rate_hz or 30.0, settings.wait_ms, triggered=settings.triggered)
@@ -138,78 +138,78 @@ def _capture(settings: LiveSettings, console: Console) -> LiveCapture | Replay:
     return LiveCapture(sources, rig, None, sync, settings.rate_hz is None, make_pipeline, tell)
 
 
-def _follow(
+def _write_poses(
     capture: LiveCapture | Replay,
     take: Take,
     files: PoseFiles,
-    everybody: PeopleFiles | None,
+    people_files: PeopleFiles | None,
     seconds: float | None,
     console: Console,
 ) -> None:
-    """Take poses until the end."""
-    begun = drawn = time.monotonic()
-    interrupted, taken = False, 0
+    """Write poses until the end."""
+    start_s = drawn_s = time.monotonic()
+    interrupted, poses_taken = False, 0
     with Live(console=console, auto_refresh=False, transient=True) as screen:
         try:
             for live_pose in capture:
-                if not taken:  # what it takes to be ready is not part of it
-                    begun = time.monotonic() - live_pose.latency_ms * 1e-3
-                taken += 1
+                if not poses_taken:  # the time of preparation does not count
+                    start_s = time.monotonic() - live_pose.latency_ms * 1e-3
+                poses_taken += 1
                 take.begin(live_pose.synced.timestamp_ns)
                 assert capture.pipeline is not None
-                # What a filter that waits gives at first is not final.
+                # The first poses of a filter with delay are not final.
                 delay = capture.pipeline.smoothing.delay_frames if capture.pipeline.smoothing else 0
-                if taken > delay:
+                if poses_taken > delay:
                     files.write(live_pose.pose)
-                if everybody is not None:
-                    everybody.write(live_pose.result.final)
+                if people_files is not None:
+                    people_files.write(live_pose.result.final)
                 now = time.monotonic()
-                if now - drawn >= DRAW_S:
-                    drawn = now
+                if now - drawn_s >= DRAW_S:
+                    drawn_s = now
                     picture = draw_dashboard(
-                        capture.statuses(), capture.books, capture.dropped, now - begun, list(capture.problems)
+                        capture.statuses(), capture.statistics, capture.dropped, now - start_s, list(capture.problems)
                     )
                     screen.update(picture, refresh=True)
-                if seconds is not None and now - begun >= seconds:
+                if seconds is not None and now - start_s >= seconds:
                     break
         except KeyboardInterrupt:
             interrupted = True
         statuses = capture.statuses()
     with finishing():
-        _finish(capture, files, everybody, statuses, time.monotonic() - begun, interrupted)
+        _finish_files(capture, files, people_files, statuses, time.monotonic() - start_s, interrupted)
 
 
-def _finish(
+def _finish_files(
     capture: LiveCapture | Replay,
     files: PoseFiles,
-    everybody: PeopleFiles | None,
+    people_files: PeopleFiles | None,
     statuses: list[CameraStatus],
     seconds: float,
     interrupted: bool,
 ) -> None:
-    """Write what filters held back, and tell ``files`` what the summary needs."""
+    """Write the poses that filters still hold, and give ``files`` the numbers of the summary."""
     for pose in capture.pipeline.finish() if capture.pipeline else []:
         files.write(pose)
-    if everybody is not None and capture.pipeline is not None:
-        everybody.write(capture.pipeline.finish_people())
+    if people_files is not None and capture.pipeline is not None:
+        people_files.write(capture.pipeline.finish_people())
     smoothing = capture.pipeline.smoothing if capture.pipeline else None
     cameras = {status.name: dataclasses.asdict(status) for status in statuses}
     files.numbers = {
-        **capture.books.summary(),
+        **capture.statistics.summary(),
         "seconds": seconds,
-        "frames_per_second": capture.books.poses / max(seconds, 1e-9),
+        "frames_per_second": capture.statistics.poses / max(seconds, 1e-9),
         "interrupted": interrupted,
         "sets_dropped": capture.dropped,
-        "sets_before_ready": capture.before_ready,
+        "sets_before_ready": capture.sets_before_ready,
         "smoothing": smoothing.describe() if smoothing else None,
         "cameras": cameras,
-        "frames_by_camera": {name: each["counts"].get("used", 0) for name, each in cameras.items()},
+        "frames_by_camera": {name: status["counts"].get("used", 0) for name, status in cameras.items()},
         "cameras_apart_cm": {name: 100 * apart_m for name, apart_m in capture.apart_m().items()},
-        "problems": {**capture.problems, **dict.fromkeys(everybody.problems if everybody else (), 1)},
+        "problems": {**capture.problems, **dict.fromkeys(people_files.problems if people_files else (), 1)},
     }
 
 
-def _tell(summary: Summary, settings: LiveSettings, console: Console) -> None:
+def _report(summary: Summary, settings: LiveSettings, console: Console) -> None:
     latency = summary["latency_ms"] or {"p50": float("nan"), "p95": float("nan")}
     console.print(
         f"{summary['frames']} poses in {summary['seconds']:.1f} s ({summary['frames_per_second']:.1f} a second), "

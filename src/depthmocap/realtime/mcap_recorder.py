@@ -1,4 +1,4 @@
-"""The recording of what cameras deliver."""
+"""Records live frames into an MCAP file."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from depthmocap.geometry import DepthCamera
 from depthmocap.recordings.mcap_writer import SHARED_CLOCK, McapWriter
 
 
-def not_recorded(frame: DepthFrame) -> str:
-    """The line for a frame that ``write`` refused as unfit."""
+def not_recorded_problem(frame: DepthFrame) -> str:
+    """The message for a frame that ``write`` refused as unfit."""
     return f"camera {frame.camera!r}: a frame of another size, or of an impossible time, is not recorded"
 
 
 class McapRecorder:
-    """Frames into an MCAP file, with the host's time of day. Cameras that come later than the file are added to it."""
+    """Writes frames into an MCAP file, with the host's time of day. It adds cameras that are opened later."""
 
     def __init__(self, writer: McapWriter, camera: Callable[[str], DepthCamera | None]) -> None:
-        """``camera`` gives the one of a name, once it was opened; see ``Readers.camera``."""
+        """``camera`` gives the opened camera of a name, or None, as ``MultiCameraReader.camera`` does."""
         self._writer, self._camera = writer, camera
         self._adding = threading.Lock()
         self._day_ns = time.time_ns() - time.monotonic_ns()
@@ -29,8 +29,8 @@ class McapRecorder:
         """Add a frame, from any thread.
 
         Raises:
-            UnfitFrameError: when its camera is not known, it is not of that one's size, or of a time that the file
-                cannot tell.
+            UnfitFrameError: when its camera is unknown, or the frame does not have its size, or the file cannot hold
+                its time.
             InputError: when the file cannot be written any further.
         """
         if frame.camera not in self._writer.rig.names:

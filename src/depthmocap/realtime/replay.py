@@ -1,4 +1,4 @@
-"""``depthmocap replay``: a recording at its own speed, to be watched in Foxglove or any viewer of its protocol."""
+"""``depthmocap replay``: plays a recording at its own speed for Foxglove, or any viewer of its protocol."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from depthmocap.recordings.mcap_writer import Topics, load_sdk
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.recordings.recording import Recording
 
-#: Rig and calibration are told this often, because viewers may come at any time (recording time).
+#: Rig and calibration are sent again after so much recording time (ns), because viewers may connect at any time.
 _DESCRIBE_NS = 1_000_000_000
 
 
@@ -44,7 +44,7 @@ class ReplaySettings:
 def play(
     recording: Recording, topics: Topics, playback_clock: PlaybackClock, advance: Callable[[], None] = lambda: None
 ) -> int:
-    """Publish every frame when it is due, the true joints among them; returns how many frames could be read."""
+    """Publish every frame and the true joints when they are due; returns the number of readable frames."""
     frames, described_ns = 0, None
     truth = recording.truth_rows()
     for stamp, name in timeline(recording):
@@ -66,10 +66,10 @@ def play(
 
 
 def replay(settings: ReplaySettings, console: Console | None = None) -> int:
-    """Serve the recording; returns the frames of the last round.
+    """Serve the recording; returns the number of frames of the last round.
 
     Raises:
-        InputError: when it is no recording, the port is taken or none, or the speed is not positive.
+        InputError: when the path is no recording, the port is taken or impossible, or the speed is not positive.
     """
     console = console or Terminal(stderr=True)
     if not settings.speed > 0:

@@ -8,9 +8,9 @@ from fakes import Board, fake_pipeline
 
 from depthmocap.errors import InputError
 from depthmocap.geometry import Rig
-from depthmocap.realtime.gather import Gatherer
 from depthmocap.realtime.live_capture import LiveCapture
 from depthmocap.realtime.sync import SyncSettings
+from depthmocap.realtime.synced_reader import SyncedReader
 
 RATE = 20.0
 
@@ -35,20 +35,20 @@ def test_poses_come_until_the_cameras_end(virtual):
     assert all(b.pose.timestamp_ns > a.pose.timestamp_ns for a, b in itertools.pairwise(poses))
     assert sum(len(each.synced.frames) != 2 for each in poses) <= 1
     assert {status.state for status in capture.statuses()} == {"at its end"}
-    assert capture.gatherer.rate_hz == pytest.approx(RATE, rel=0.01)
-    assert capture.books.summary()["frames"] == len(poses)
+    assert capture.reader.rate_hz == pytest.approx(RATE, rel=0.01)
+    assert capture.statistics.summary()["frames"] == len(poses)
     assert not capture.problems
 
 
 def test_a_slow_consumer_gets_the_newest_set_and_the_rest_is_dropped(virtual):
     simulation = Simulation(Board(2), RATE, 20.0)
     ages_s = []
-    with Gatherer(cameras(simulation, virtual), sync=SyncSettings(RATE), measure_rate=False) as gatherer:
-        for synced in gatherer.sets():
+    with SyncedReader(cameras(simulation, virtual), sync=SyncSettings(RATE), measure_rate=False) as reader:
+        for synced in reader.sets():
             ages_s.append((virtual.monotonic_ns() - max(f.arrival_ns for f in synced.frames.values())) * 1e-9)
             virtual.sleep(0.42)
     assert len(ages_s) == pytest.approx(20 / 0.42, abs=2)
-    assert len(ages_s) + gatherer.dropped == 400
+    assert len(ages_s) + reader.dropped == 400
     assert max(ages_s[:-1]) <= 1 / RATE + 0.001  # never older than one period, however long it goes on
 
 
@@ -86,13 +86,13 @@ def test_cameras_come_and_go_while_running(virtual):
         for each in capture:
             seen.append(len(each.synced.frames))
             if len(seen) == 10:
-                capture.gatherer.add(second)
+                capture.reader.add(second)
                 with pytest.raises(InputError, match="cam1"):
-                    capture.gatherer.add(second)
+                    capture.reader.add(second)
             if len(seen) == 40:
-                capture.gatherer.remove("cam1")
+                capture.reader.remove("cam1")
                 with pytest.raises(InputError, match="no camera 'cam1': there are cam0"):
-                    capture.gatherer.remove("cam1")
+                    capture.reader.remove("cam1")
             if len(seen) == 55:
                 break
     assert set(seen[:10]) == {1}
@@ -115,7 +115,7 @@ def test_no_camera_that_opens_is_an_error(virtual):
     simulation = Simulation(Board(1), RATE, 5.0, {"cam0": Faults(unplugged=((-10.0, 100.0),))})
     with (
         pytest.raises(InputError, match=r"no camera could be opened .*cam0.*not connected"),
-        Gatherer(cameras(simulation, virtual)),
+        SyncedReader(cameras(simulation, virtual)),
     ):
         pass
 
@@ -170,7 +170,7 @@ def test_every_frame_is_recorded_and_a_full_disk_is_told(virtual):
     for room, expected in ((1000, {40}), (10, {10, 11})):
         recorder = Recorder(room)
         capture = capture_of(cameras(Simulation(Board(2), RATE, 1.0), virtual))
-        capture.gatherer.recorder = recorder
+        capture.reader.recorder = recorder
         with capture:
             assert sum(1 for _ in capture) > 5
         assert len(recorder.frames) in expected
