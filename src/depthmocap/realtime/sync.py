@@ -151,7 +151,8 @@ class Synchroniser:
         """Expect frames of a camera from now on.
 
         Args:
-            latency_ms: least time from exposure to arrival, which the clocks do not tell. It matters if cameras differ in it.
+            latency_ms: least time from exposure to arrival, which the clocks do not tell. It matters if cameras
+                differ in it.
 
         Raises:
             InputError: when there is a camera of this name.
