@@ -26,7 +26,7 @@ from depthmocap.train.train_classifier import (  # noqa: E402
 )
 from depthmocap.train.windows import training_window  # noqa: E402
 
-WEIGHTS = packaged_weights().with_suffix(".safetensors")
+WEIGHTS = Path(__file__).parents[2] / "weights" / "fast.safetensors"
 
 
 def packaged_network() -> FastNet:

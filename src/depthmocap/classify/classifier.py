@@ -33,7 +33,7 @@ _READERS = {"fast": label_groups, "paper": label_dense_pixels}
 
 
 def packaged_weights() -> Path:
-    """The 8-bit ONNX file of the packaged network; beside it lie its weights for training, ``.safetensors``."""
+    """The 8-bit ONNX file of the packaged network; its weights for training are in the repository, ``weights/``."""
     return Path(str(importlib.resources.files("depthmocap.classify") / "weights" / "fast.onnx"))
 
 
