@@ -149,7 +149,7 @@ def test_an_interruption_is_told_and_everything_is_written(tmp_path: Path) -> No
 def test_the_summary_has_its_keys_and_no_other(taken: Path) -> None:
     document = json.loads((taken / "summary.json").read_text())
     assert list(document) == list(Summary.__annotations__) and document["schema"] == SCHEMA
-    documented = (Path(__file__).parents[2] / "docs" / "conventions.md").read_text(encoding="utf-8")
+    documented = (Path(__file__).parents[2] / "docs" / "guides" / "export.md").read_text(encoding="utf-8")
     assert [key for key in Summary.__annotations__ if f"`{key}`" not in documented] == []
     files = PoseFiles(taken / "other", Take("run", [], "z", 0.2))
     files.numbers["poses"] = 3

@@ -14,7 +14,7 @@ pytest.importorskip("onnxscript")
 
 import onnxruntime  # noqa: E402
 
-from depthmocap.classify.classifier import Classifier, packaged_weights  # noqa: E402
+from depthmocap.classify.classifier import Classifier  # noqa: E402
 from depthmocap.classify.window import WINDOW  # noqa: E402
 from depthmocap.synth.body.mesh import BodyModel  # noqa: E402
 from depthmocap.synth.motion.postures import posture_source  # noqa: E402
