@@ -97,7 +97,7 @@ def _plain_joints(model: RidgePose, parts: list[LabelledView]) -> tuple[ndarray,
         ]
     )
     regions = np.concatenate([labels[(labels > 0) & (view.depth_m > 0)] for view, labels, *_ in parts])
-    turn = body_frame(part_statistics(merge_views(parts))).turn if model.frame == "body" else np.eye(3)
+    turn = body_frame(part_statistics(merge_views(parts))).rotation if model.frame == "body" else np.eye(3)
     points = points @ turn.T
     centre = np.zeros(3) if model.frame == "world" else np.median(points, axis=0)
     features = np.full((REGION_COUNT, FEATURES_PER_REGION), np.nan)

@@ -9,7 +9,7 @@ from depthmocap.body.skeleton import JOINT_INDEX, JOINTS, MIRROR
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera
 from depthmocap.pose.cloud import LabelledCloud
-from depthmocap.pose.estimators import GUESS, JOINT_REGIONS, RidgeEstimator, load_estimator
+from depthmocap.pose.estimators import JOINT_REGIONS, UNOBSERVED_CONFIDENCE, RidgeEstimator, load_estimator
 from depthmocap.pose.features import FEATURE_COUNT
 from depthmocap.pose.ridge import RidgeBank, RidgePose
 
@@ -53,8 +53,8 @@ def test_regressor_is_that_of_the_cameras_that_saw_something():
     camera = DepthCamera("a", 64, 64, 60.0, 60.0, 32.0, 32.0)
     bank = RidgeBank((make_model(1), make_model(2), make_model(3)))
     for sizes, height in (((200, 100), 2), ((0, 300, 0), 1), ((50, 50, 100, 100), 3)):
-        seen = dataclasses.replace(cloud, view_sizes=sizes, cameras=(camera,) * len(sizes))
-        joints, _ = RidgeEstimator(bank)(seen)
+        observed = dataclasses.replace(cloud, view_sizes=sizes, cameras=(camera,) * len(sizes))
+        joints, _ = RidgeEstimator(bank)(observed)
         np.testing.assert_allclose(joints[:, 2] - np.median(cloud.points_world, axis=0)[2], height, atol=1e-6)
 
 
@@ -67,10 +67,10 @@ def test_estimators_that_do_not_exist(source, message):
 
 
 def test_confidence_follows_what_was_seen():
-    _, sure = RIDGE(make_cloud({"hand R": 500, "face R": 50}))
-    assert sure[JOINT_INDEX["RHand"]] == 1
-    assert sure[JOINT_INDEX["Head"]] == pytest.approx(0.5)
-    assert sure[JOINT_INDEX["LHand"]] == GUESS
+    _, confidence = RIDGE(make_cloud({"hand R": 500, "face R": 50}))
+    assert confidence[JOINT_INDEX["RHand"]] == 1
+    assert confidence[JOINT_INDEX["Head"]] == pytest.approx(0.5)
+    assert confidence[JOINT_INDEX["LHand"]] == UNOBSERVED_CONFIDENCE
     _, unsure = RIDGE(make_cloud({"hand R": 500, "face R": 50}, weight=0.5))
     assert unsure[JOINT_INDEX["RHand"]] == pytest.approx(0.5)
     assert unsure[JOINT_INDEX["Head"]] == pytest.approx(0.25)

@@ -86,9 +86,9 @@ def test_regions_with_few_points_are_nan():
     rng = np.random.default_rng(3)
     labels = np.repeat([3, 7], [MIN_POINTS, MIN_POINTS - 1]).astype(np.uint8)
     cloud = LabelledCloud(rng.standard_normal((len(labels), 3)).astype(np.float32), labels, np.ones_like(labels, "f4"))
-    seen = ~np.isnan(cloud_features(cloud).values.reshape(43, FEATURES_PER_REGION))
-    assert seen[2].all()
-    assert seen.sum() == FEATURES_PER_REGION
+    finite = ~np.isnan(cloud_features(cloud).values.reshape(43, FEATURES_PER_REGION))
+    assert finite[2].all()
+    assert finite.sum() == FEATURES_PER_REGION
     assert np.isfinite(cloud_features(cloud, min_points=1).values).sum() == 2 * FEATURES_PER_REGION
 
 
@@ -114,9 +114,9 @@ def test_the_bodys_features_do_not_change_when_person_and_cameras_turn(body_mode
     assert np.nanmax(np.abs(across - cloud_features(merge_views(parts), up, "cloud").values)) > 0.1
     # It faces forwards: what is left is at +y, and joints go there and back.
     joints = posed.joints @ world.T + [0.5, -0.2, 0.1]
-    found = here.from_world(joints)
-    assert found[JOINT_INDEX["LShoulder"], 1] > 0.05 > -0.05 > found[JOINT_INDEX["RShoulder"], 1]
-    np.testing.assert_allclose(here.to_world(found), joints, atol=1e-9)
+    result = here.from_world(joints)
+    assert result[JOINT_INDEX["LShoulder"], 1] > 0.05 > -0.05 > result[JOINT_INDEX["RShoulder"], 1]
+    np.testing.assert_allclose(here.to_world(result), joints, atol=1e-9)
 
 
 def test_the_bodys_frame_asks_for_cameras():
@@ -154,5 +154,5 @@ floats32 = st.floats(-1e3, 1e3, width=32)
 def test_median_is_exact_with_ties_and_outliers(values, repeats, factor):
     spread = np.random.default_rng(repeats).standard_normal(repeats) * 1e-2
     values = np.concatenate([np.repeat(np.float32(values), repeats), spread, [1e4 * factor]]).astype(np.float32)
-    found = median(values, values.min(), values.max(), np.empty(512, np.int32), np.empty(len(values), np.float32))
-    assert found == np.median(values.astype(np.float64))
+    result = median(values, values.min(), values.max(), np.empty(512, np.int32), np.empty(len(values), np.float32))
+    assert result == np.median(values.astype(np.float64))

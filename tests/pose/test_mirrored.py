@@ -40,20 +40,20 @@ def same(one: LabelledView, other: LabelledView) -> bool:
 @pytest.mark.parametrize("number", [0, 1])
 def test_the_least_sure_view_is_put_right(count: int, number: int) -> None:
     parts = [part(i, 0.55 if i == number else 0.7, i == number, 0.1 if i == number else 0.05) for i in range(count)]
-    found = undo_mirrored(parts)
-    assert same(found[number], part(number, error_m=0.1))
-    assert all(each is before for i, (each, before) in enumerate(zip(found, parts, strict=True)) if i != number)
-    assert not same(parts[number], found[number])  # what was given is not changed
-    np.testing.assert_array_equal(found[number].labels[:, :2], LABELS[:, :2])
+    corrected = undo_mirrored(parts)
+    assert same(corrected[number], part(number, error_m=0.1))
+    assert all(view is before for i, (view, before) in enumerate(zip(corrected, parts, strict=True)) if i != number)
+    assert not same(parts[number], corrected[number])  # what was given is not changed
+    np.testing.assert_array_equal(corrected[number].labels[:, :2], LABELS[:, :2])
 
 
 def test_two_that_are_sure_outvote_one_and_two_that_guess_do_not() -> None:
     parts = [part(0, 0.66, mirrored=True, error_m=0.04), part(1, 0.64), part(2, 0.62)]
-    found = undo_mirrored(parts)
-    assert same(found[0], part(0, error_m=0.04)) and found[1] is parts[1] and found[2] is parts[2]
+    corrected = undo_mirrored(parts)
+    assert same(corrected[0], part(0, error_m=0.04)) and corrected[1] is parts[1] and corrected[2] is parts[2]
     parts = [part(0, 0.5, mirrored=True), part(1, 0.75), part(2, 0.5, mirrored=True)]
-    found = undo_mirrored(parts)
-    assert same(found[0], part(0)) and found[1] is parts[1] and same(found[2], part(2))
+    corrected = undo_mirrored(parts)
+    assert same(corrected[0], part(0)) and corrected[1] is parts[1] and same(corrected[2], part(2))
 
 
 def test_views_that_agree_or_tell_nothing_stay() -> None:
@@ -72,9 +72,9 @@ def test_views_that_agree_or_tell_nothing_stay() -> None:
 def test_a_body_whose_sides_lie_together_is_left_alone() -> None:
     """From the side, left and right are a few centimetres apart in what views say, and exchanging them is a gamble."""
     parts = [part(0), part(1, 0.5, mirrored=True)]
-    for each in parts:
-        assert each.joints is not None
-        each.joints[:, :3] *= 0.05
+    for view in parts:
+        assert view.joints is not None
+        view.joints[:, :3] *= 0.05
     assert all(a is b for a, b in zip(undo_mirrored(parts), parts, strict=True))
 
 

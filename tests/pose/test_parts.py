@@ -13,17 +13,17 @@ from depthmocap.pose.cloud import LabelledCloud, merge_views
 from depthmocap.pose.labelled_view import LabelledView
 from depthmocap.pose.parts import (
     AREA,
+    CENTRAL,
     CENTRE,
     COUNT,
     COVARIANCE,
     MIN_POINTS,
-    NEAR,
     PROBABILITY,
-    TOWARDS,
+    TO_CAMERA,
     body_frame,
-    moved,
     network_inputs,
     part_statistics,
+    transform_parts,
     yaw_matrix,
 )
 from depthmocap.synth.body.mesh import BodyModel
@@ -73,11 +73,11 @@ def test_moments_are_those_of_the_points():
     row = parts[0, HAND - 1]
     assert row[COUNT] == 300
     assert row[PROBABILITY] == pytest.approx(0.7)
-    assert row[NEAR] == pytest.approx(1, abs=0.01)
+    assert row[CENTRAL] == pytest.approx(1, abs=0.01)
     np.testing.assert_allclose(row[CENTRE], points.mean(0), atol=1e-4)
     np.testing.assert_allclose(row[COVARIANCE], np.cov(points.T, bias=True)[np.triu_indices(3)], atol=1e-6)
     to_camera = np.array([0, -2, 0]) - points.mean(0)
-    np.testing.assert_allclose(row[TOWARDS], to_camera / np.linalg.norm(to_camera), atol=1e-3)
+    np.testing.assert_allclose(row[TO_CAMERA], to_camera / np.linalg.norm(to_camera), atol=1e-3)
     assert row[AREA] == pytest.approx(300 * (to_camera @ to_camera) / 280**2, rel=1e-3)
     assert not np.delete(parts[0], HAND - 1, axis=0).any()
 
@@ -99,7 +99,7 @@ def test_a_speck_far_off_hardly_counts():
     spoilt = np.concatenate([points, rng.normal([1.0, 0, 0], 0.02, (30, 3))])
     row = part_statistics(cloud_of(spoilt, np.full(230, HAND)))[0, HAND - 1]
     assert np.linalg.norm(row[CENTRE] - clean[CENTRE]) < 0.003  # their mean is 13 cm off
-    assert row[NEAR] < 0.9
+    assert row[CENTRAL] < 0.9
 
 
 def test_regions_of_few_points_are_unseen_and_many_points_are_sampled_evenly():
@@ -120,9 +120,9 @@ def test_each_camera_has_its_own_row(posed):
 
 
 def test_joints_that_cameras_tell_are_parts(posed):
-    plain, told = person_views(posed, (0, 2))
+    plain, guessing = person_views(posed, (0, 2))
     joints = np.column_stack([posed.joints, np.linspace(0.01, 0.4, 18)])
-    parts = part_statistics(merge_views([plain, told._replace(joints=joints)]))
+    parts = part_statistics(merge_views([plain, guessing._replace(joints=joints)]))
     assert not parts[0, 43:].any()
     rows = parts[1, 43:]
     np.testing.assert_allclose(rows[:, CENTRE], posed.joints, atol=1e-6)
@@ -130,9 +130,9 @@ def test_joints_that_cameras_tell_are_parts(posed):
     assert (np.diff(rows[:, PROBABILITY]) < 0).all()  # the larger the error to expect
     # The body's frame comes from the regions, and joints are put into it with them.
     frame = body_frame(parts)
-    np.testing.assert_array_equal(frame.turn, body_frame(part_statistics(merge_views([plain, told]))).turn)
-    inputs, seen = network_inputs(parts, frame)
-    assert seen[1, 43:].all() and not seen[0, 43:].any()
+    np.testing.assert_array_equal(frame.rotation, body_frame(part_statistics(merge_views([plain, guessing]))).rotation)
+    inputs, observed = network_inputs(parts, frame)
+    assert observed[1, 43:].all() and not observed[0, 43:].any()
     np.testing.assert_allclose(inputs[1, 43:, CENTRE], frame.from_world(posed.joints), atol=1e-5)
     np.testing.assert_allclose(inputs[1, 43:, COVARIANCE][:, [0, 3, 5]], np.repeat(joints[:, 3:], 3, 1) * 10, rtol=1e-4)
 
@@ -162,8 +162,8 @@ def test_moved_parts_are_those_of_moved_points(posed):
     points = (cloud.points_world @ turn.T + shift).astype(np.float32)
     truth = part_statistics(LabelledCloud(points, cloud.labels, cloud.weights, cloud.view_sizes, tuple(cameras)))
     parts = part_statistics(cloud)
-    found = moved(parts, np.broadcast_to(turn, (2, 3, 3)), np.broadcast_to(shift, (2, 3)))
-    np.testing.assert_allclose(found, truth, atol=2e-4)
+    transformed = transform_parts(parts, np.broadcast_to(turn, (2, 3, 3)), np.broadcast_to(shift, (2, 3)))
+    np.testing.assert_allclose(transformed, truth, atol=2e-4)
     # What the network reads does not know where the person stands and which way they face.
     before = network_inputs(parts, body_frame(parts))[0]
     after = network_inputs(truth, body_frame(truth))[0]
@@ -172,18 +172,18 @@ def test_moved_parts_are_those_of_moved_points(posed):
 
 def test_inputs_of_unseen_regions_are_zero(posed):
     parts = part_statistics(merge_views(person_views(posed, (0,))))
-    inputs, seen = network_inputs(parts, body_frame(parts))
-    assert seen.any()
-    assert not seen.all()
-    assert not inputs[~seen].any()
-    assert (inputs[seen][:, COUNT] > 0).all()
+    inputs, observed = network_inputs(parts, body_frame(parts))
+    assert observed.any()
+    assert not observed.all()
+    assert not inputs[~observed].any()
+    assert (inputs[observed][:, COUNT] > 0).all()
     assert np.abs(inputs).max() < 20
 
 
 def test_nothing_seen_has_a_frame_all_the_same():
     frame = body_frame(np.zeros((2, 61, 16), np.float32))
     np.testing.assert_array_equal(frame.origin, 0)
-    np.testing.assert_array_equal(frame.turn, np.eye(3))
+    np.testing.assert_array_equal(frame.rotation, np.eye(3))
 
 
 def test_clouds_that_cannot_be_used():

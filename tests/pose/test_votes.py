@@ -96,15 +96,15 @@ def test_augmented_samples_keep_a_camera_and_mirror_joints_with_regions(samples)
     assert 0.4 < mirrored.mean() < 0.6
     np.testing.assert_allclose(moved_joints[mirrored], (joints * [1, -1, 1])[mirrored][:, MIRROR])
     # A region of one side has the other one's points, but where a camera mistakes the sides.
-    seen = changed[..., 0] > 0
+    observed = changed[..., 0] > 0
     counts = np.where(mirrored[:, None, None], parts[..., MIRRORED, 0], parts[..., 0])
-    same = (changed[..., 0] == counts) | ~seen
+    same = (changed[..., 0] == counts) | ~observed
     assert 0.9 < same.mean() < 1
     for limb in (ARMS, LEGS):  # all of a limb, or none of it
         wrong = (~same & limb).any(-1)
         assert 0.01 < wrong[cameras > 1].mean() < 0.1
         exchanged = np.where(mirrored[:, None, None], parts[..., 0], parts[..., MIRRORED, 0])
-        assert ((changed[..., 0] == exchanged) | ~seen)[wrong][:, limb].all()
+        assert ((changed[..., 0] == exchanged) | ~observed)[wrong][:, limb].all()
     assert same[cameras == 1].all()  # where nothing tells otherwise
     # Regions stay with their joints, whatever was moved.
     centre = changed[..., 4:7].sum((1, 2)) / (changed[..., 0] > 0).sum((1, 2))[:, None]
@@ -121,12 +121,12 @@ def test_tilted_samples_are_the_same_bodies(samples):
     np.testing.assert_allclose(turned.mean(1), joints.mean(1), atol=1e-9)
     # Distances of joints from what the cameras saw, and along the rays, are what they were.
     between, before = (p[..., 4:7][:, :, :, None] - j[:, None, None] for p, j in ((changed, turned), (parts, joints)))
-    seen = (parts[..., 0] > 0)[..., None] & np.ones(18, bool)
-    for found, expected in (
+    observed = (parts[..., 0] > 0)[..., None] & np.ones(18, bool)
+    for result, expected in (
         (np.linalg.norm(between, axis=-1), np.linalg.norm(before, axis=-1)),
         ((between * changed[..., None, 13:16]).sum(-1), (before * parts[..., None, 13:16]).sum(-1)),
     ):
-        np.testing.assert_allclose(found[seen], expected[seen], atol=1e-4)
+        np.testing.assert_allclose(result[observed], expected[observed], atol=1e-4)
     assert (np.abs((turned - joints)[some]).max((1, 2)) > 0.1).mean() > 0.8
 
 
@@ -187,7 +187,7 @@ def test_files_that_are_no_voting_network(tmp_path):
         (["n", "views", 61, 16], (b"sure", b"s\xffre"), "not a readable ONNX network"),
     ],
 )
-def test_a_network_of_an_earlier_version_or_spoilt_is_refused(tmp_path, shape, spoil, told):
+def test_a_network_of_an_earlier_version_or_spoilt_is_refused(tmp_path, shape, spoil, message):
     parts = helper.make_tensor_value_info("parts", TensorProto.FLOAT, shape)
     outputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in ("joints", "sure")]
     nodes = [helper.make_node("Identity", ["parts"], [output.name]) for output in outputs]
@@ -195,5 +195,5 @@ def test_a_network_of_an_earlier_version_or_spoilt_is_refused(tmp_path, shape, s
         helper.make_graph(nodes, "early", [parts], outputs), ir_version=8, opset_imports=[helper.make_opsetid("", 18)]
     )
     (tmp_path / "votes.onnx").write_bytes(model.SerializeToString().replace(*spoil))
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         VotesEstimator(tmp_path / "votes.onnx")

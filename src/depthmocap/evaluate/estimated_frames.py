@@ -87,7 +87,7 @@ class EstimatedFrames:
     def rows(self, selected: Bool[ndarray, "n"]) -> EstimatedFrames:
         """Some of the frames."""
         arrays = ("estimates", "confidence", "centres", "truths", "subjects", "actions", "milliseconds")
-        frame = BodyFrame(self.frame.origin[selected], self.frame.turn[selected])
+        frame = BodyFrame(self.frame.origin[selected], self.frame.rotation[selected])
         return dataclasses.replace(self, frame=frame, **{name: getattr(self, name)[selected] for name in arrays})
 
     def only(self, joints: tuple[str, ...]) -> EstimatedFrames:
@@ -170,4 +170,4 @@ def _estimate_frame(
     total = weights.sum(0)
     visible = total > 0
     row["centres"][visible] = np.einsum("vr,vrc->rc", weights, regions[..., CENTRE])[visible] / total[visible, None]
-    return row | {"origin": body.origin, "turn": body.turn}
+    return row | {"origin": body.origin, "turn": body.rotation}

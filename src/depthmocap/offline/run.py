@@ -29,7 +29,7 @@ from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.offline.pipeline import STAGES, Pipeline, Result
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline, open_source
 from depthmocap.offline.run_report import Pictures, write_run_report
-from depthmocap.pose.extrinsics_check import Agreement
+from depthmocap.pose.extrinsics_check import ExtrinsicsCheck
 from depthmocap.recordings.recording import Recording
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
 from depthmocap.segment.people_segmenter import Mode
@@ -156,7 +156,7 @@ class _Capture:
         self._milliseconds: list[dict[str, float]] = []
         self._by_camera: dict[str, int] = dict.fromkeys(source.camera_names, 0)
         self._by_person: collections.Counter[str] = collections.Counter()
-        self._extrinsics = Agreement()
+        self._extrinsics_check = ExtrinsicsCheck()
         self.truths: list[Float[ndarray, "18 3"]] = []
         self.misplaced: list[str] = []
 
@@ -174,7 +174,7 @@ class _Capture:
         """Take the next frames; gives the milliseconds that they took, with those of reading them."""
         result = self._pipeline(frames)
         self._waiting.append((frames, result, {"read": read_ms, **result.milliseconds}))
-        self.misplaced += self._extrinsics(result.cloud)
+        self.misplaced += self._extrinsics_check(result.cloud)
         self._by_person.update(str(person.number) for person in result.people)
         if self._people_files is not None:
             self._people_files.write(result.final)
@@ -190,7 +190,7 @@ class _Capture:
             # An interruption may have come between the filter and the frames that wait.
             if self._waiting and self._waiting[0][0].timestamp_ns == pose.timestamp_ns:
                 self._add_final(pose)
-        self.misplaced += self._extrinsics.finish()
+        self.misplaced += self._extrinsics_check.finish()
 
     def _add_final(self, pose: Pose) -> None:
         with finishing():
@@ -211,7 +211,7 @@ class _Capture:
             "frames_by_person": dict(self._by_person),
             **_speed(self._milliseconds),
             "smoothing": smoothing.describe() if smoothing else None,
-            "cameras_apart_cm": {name: 100 * apart_m for name, apart_m in self._extrinsics.apart_m().items()},
+            "cameras_apart_cm": {name: 100 * apart_m for name, apart_m in self._extrinsics_check.distances_m().items()},
             "error": _error(self._poses, self.truths),
         }
 

@@ -1,4 +1,4 @@
-"""View aggregation (paper, section "View Aggregation"): labelled depth images to one labelled cloud in the world."""
+"""View aggregation (paper, section "View Aggregation"): labelled depth images to one labelled world point cloud."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from depthmocap.kernels.point_cloud import unproject_labelled
 from depthmocap.pose.labelled_view import LabelledView
 from depthmocap.pose.mirrored import undo_mirrored
 
-#: Clouds with fewer points hold no person.
+#: A cloud with fewer points contains no person.
 MIN_CLOUD_POINTS = 50
 
 
@@ -30,9 +30,9 @@ _NO_WEIGHTS = np.empty((0, 0), np.float32)
 class LabelledCloud:
     """World points (metres) with their regions 1–43 and the probability of each label, 1 for true labels.
 
-    Points of a camera are together: first ``view_sizes[0]`` of ``cameras[0]``, and so on. A cloud made of points alone
-    has no cameras, which the paper's features do not ask for. ``joints`` are each view's own guesses, see
-    ``LabelledView``; NaN where it has none.
+    The points of a camera are consecutive: first ``view_sizes[0]`` points of ``cameras[0]``, and so on. A cloud may
+    have no cameras; the paper's features do not need them. ``joints`` are the joints estimated from each view alone
+    (see ``LabelledView``), NaN where there are none.
     """
 
     points_world: Float32[ndarray, "n 3"]
@@ -47,19 +47,18 @@ class LabelledCloud:
 
 
 def merge_views(parts: Sequence[LabelledView]) -> LabelledCloud:
-    """Labelled pixels of all views as points of one world, view after view in row-major order.
+    """Labelled pixels of all views as world points, view after view in row-major order.
 
-    A view that takes left for right is put right first, where the others tell (``mirrored.undo_mirrored``). Pixels
-    without a finite depth above 0, and those with a label other than 1–43 (background 0, unknown 255), are left
-    out.
+    Mirrored views are corrected first (``mirrored.undo_mirrored``). Pixels without a finite depth above 0, and those
+    with a label other than 1–43 (background 0, unknown 255), are left out.
 
     Raises:
         InputError: when the depth, labels, weights or (for a lens with distortion) camera of a view differ in shape.
     """
     parts = undo_mirrored(parts)
-    most = sum(int(np.count_nonzero(part.labels)) for part in parts)
-    points_world = np.empty((most, 3), np.float32)
-    all_labels, all_weights = np.empty(most, np.uint8), np.empty(most, np.float32)
+    capacity = sum(int(np.count_nonzero(part.labels)) for part in parts)
+    points_world = np.empty((capacity, 3), np.float32)
+    all_labels, all_weights = np.empty(capacity, np.uint8), np.empty(capacity, np.float32)
     row, sizes = 0, []
     for view, labels, weights, _ in parts:
         start = row
@@ -70,21 +69,21 @@ def merge_views(parts: Sequence[LabelledView]) -> LabelledCloud:
 
 
 def _unproject(
-    view: View, labels: UInt8[ndarray, "_ _"], weights: Float[ndarray, "_ _"] | None, start: int, *out: ndarray
+    view: View, labels: UInt8[ndarray, "_ _"], weights: Float[ndarray, "_ _"] | None, start: int, *arrays: ndarray
 ) -> int:
     """Write a view's points, their labels and weights into three arrays from row ``start``; the next free row."""
     camera, shape = view.camera, view.depth_m.shape
     if labels.shape != shape or (weights is not None and weights.shape != shape):
-        given = "" if weights is None else f" and weights {weights.shape}"
-        raise InputError(f"camera {camera.name!r}: depth is {shape}, but labels are {labels.shape}{given}")
-    # The rays of a lens without distortion are two multiplications: cheaper than a table when cameras come and go.
+        weights_shape = "" if weights is None else f" and weights {weights.shape}"
+        raise InputError(f"camera {camera.name!r}: depth is {shape}, but labels are {labels.shape}{weights_shape}")
+    # Without lens distortion the rays are two multiplications: cheaper than a table when cameras come and go.
     rays = camera.rays if any(camera.distortion) else _NO_RAYS
     if rays.size and rays.shape[:2] != shape:
         raise InputError(f"camera {camera.name!r} is {rays.shape[:2]} (rows, columns), but its depth is {shape}")
     box = box_of(np.ascontiguousarray(labels))
     if box is None:
         return start
-    # A pixel whose ray the lens model does not give has no place in the world.
+    # A pixel without a ray, outside the lens model, has no position in the world.
     depth_m = np.where(np.isfinite(rays[..., 0]), view.depth_m, 0) if rays.size else view.depth_m
     return unproject_labelled(
         np.ascontiguousarray(depth_m, np.float32),
@@ -96,5 +95,5 @@ def _unproject(
         np.ascontiguousarray(camera.world_from_camera, np.float64),
         REGION_COUNT,
         start,
-        *out,
+        *arrays,
     )

@@ -19,10 +19,10 @@ from depthmocap.pose.labelled_view import Labels
 from depthmocap.pose.ridge import RidgeBank
 from depthmocap.pose.votes import VotesEstimator
 
-#: Points near a joint from which more points add no confidence: a hand, half seen by a Kinect 2 at 3 m, has so many.
+#: Number of points around a joint from which more points add no confidence: a half visible hand in a Kinect 2 at 3 m.
 FULL_POINTS = 100
-#: Confidence of a joint near which nothing was seen: its position comes from the rest of the body.
-GUESS = 0.1
+#: Confidence of a joint without observed points around it: its position follows from the rest of the body.
+UNOBSERVED_CONFIDENCE = 0.1
 
 #: The regions around each joint.
 JOINT_REGIONS: dict[str, tuple[str, ...]] = {
@@ -48,25 +48,25 @@ JOINT_REGIONS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 
 
-def _near() -> Bool[ndarray, "18 43"]:
-    near = np.zeros((len(JOINTS), REGION_COUNT), bool)
-    for row, joint in zip(near, JOINTS, strict=True):
+def _joint_regions() -> Bool[ndarray, "18 43"]:
+    mask = np.zeros((len(JOINTS), REGION_COUNT), bool)
+    for row, joint in zip(mask, JOINTS, strict=True):
         row[[REGION[name] - 1 for name in JOINT_REGIONS[joint]]] = True
-    return near
+    return mask
 
 
-_NEAR = _near()
+_JOINT_REGIONS = _joint_regions()
 
 
 def joint_confidence(features: Features) -> Float64[ndarray, "18"]:
-    """Confidence 0.1–1 of each joint: a simple measure of what was seen around it, not a calibrated probability.
+    """Confidence 0.1–1 of each joint: a simple measure of the points around it, not a calibrated probability.
 
-    Over the points in the joint's regions (``JOINT_REGIONS``): their mean label probability, times their share of
-    ``FULL_POINTS`` when they are fewer; at least ``GUESS``.
+    It is the mean label probability of the points in the joint's regions (``JOINT_REGIONS``), times their share of
+    ``FULL_POINTS`` when they are fewer, and at least ``UNOBSERVED_CONFIDENCE``.
     """
-    points = _NEAR @ features.counts.astype(np.float64)
-    probability = _NEAR @ (features.counts * features.mean_weights) / np.maximum(points, 1)
-    return np.clip(probability * np.minimum(points / FULL_POINTS, 1), GUESS, 1)
+    points = _JOINT_REGIONS @ features.counts.astype(np.float64)
+    probability = _JOINT_REGIONS @ (features.counts * features.mean_weights) / np.maximum(points, 1)
+    return np.clip(probability * np.minimum(points / FULL_POINTS, 1), UNOBSERVED_CONFIDENCE, 1)
 
 
 @runtime_checkable
@@ -82,16 +82,16 @@ class JointEstimator(Protocol):
 
 
 class RidgeEstimator:
-    """The paper's: statistics of the regions (``features``), and ridge regression from them (``ridge``)."""
+    """The paper's estimator: ridge regression (``ridge``) from statistics of the regions (``features``)."""
 
     def __init__(self, bank: RidgeBank) -> None:
         self.bank = bank
 
     def __call__(self, cloud: LabelledCloud, up: str = "z") -> tuple[Float64[ndarray, "18 3"], Float64[ndarray, "18"]]:
-        """See :class:`JointEstimator`. The regressor is that of the number of cameras that saw something.
+        """Joints in the world (metres) and their confidence, by the model for the number of cameras with points.
 
         Raises:
-            InputError: see ``cloud_features``.
+            InputError: as ``cloud_features``.
         """
         if len(cloud) < MIN_CLOUD_POINTS:
             return np.full((len(JOINTS), 3), np.nan), np.zeros(len(JOINTS))
@@ -102,8 +102,12 @@ class RidgeEstimator:
 
 
 def load_estimator(source: str | Path = "votes", labels: Labels = "network") -> JointEstimator:
-    """An estimator by name, packaged: "votes", or "ridge" (the paper's; fitted on network or on true ``labels``); or
-    one of your own, a votes.onnx or a ridge .npz that ``depthmocap train pose`` wrote.
+    """Load an estimator.
+
+    Args:
+        source: a packaged one, "votes" or "ridge" (the paper's), or a file that ``depthmocap train pose`` wrote
+            (votes.onnx or ridge .npz).
+        labels: the labels that the packaged ridge was fitted on.
 
     Raises:
         InputError: for another name, or a file that cannot be read.

@@ -1,5 +1,7 @@
-"""Whether cameras see the person in one place: a camera that was bumped, or a rig that is not theirs, must not spoil
-poses in silence."""
+"""Check of the extrinsics while running: do all cameras see the person at the same position?
+
+A camera that was bumped, or a rig file of other cameras, must not spoil poses silently.
+"""
 
 from __future__ import annotations
 
@@ -13,111 +15,121 @@ from depthmocap.body.skeleton import SIDED
 from depthmocap.pose.cloud import LabelledCloud
 from depthmocap.text import cameras
 
-#: Joints of the middle do not move where a view takes left for right.
+#: Only the joints in the middle are compared: a mirrored view does not change them.
 _MIDDLE = ~SIDED
-#: Views tell of joints only where they expect less error (metres), and only with so many of them.
-SURE_M, FEWEST_JOINTS = 0.15, 3
-#: Further apart (metres) than a view by itself is wrong: cameras that stand right have less than 2 cm in the median.
-APART_M = 0.1
-#: Sets that are judged together, and the fewest that are.
-SETS, FEWEST_SETS = 150, 10
-#: A camera that sees the person in a smaller share of the sets sees next to nothing of them.
-SELDOM = 0.05
+#: A view's joint counts if its expected error is below this (metres).
+EXPECTED_ERROR_M = 0.15
+#: A view counts with at least this many such joints.
+FEWEST_JOINTS = 3
+#: Median distance (metres) from which cameras are misplaced: correctly calibrated ones have less than 0.02.
+MISPLACED_M = 0.1
+#: Number of frame sets that are judged together.
+SETS = 150
+#: Fewest frame sets for a judgement.
+FEWEST_SETS = 10
+#: A camera that sees the person in a smaller share of its frame sets is reported.
+LEAST_SHARE = 0.05
 
 
-class Agreement:
-    """Compares where the cameras, each by itself, take the middle of the body to be, set after set."""
+class ExtrinsicsCheck:
+    """Compares the middle joints that the cameras estimate separately, over many frame sets."""
 
     def __init__(self) -> None:
-        # Distances by camera, where at least three see the person, and by pair, where only two do.
-        self._apart: collections.defaultdict[tuple[str, ...], list[float]] = collections.defaultdict(list)
+        # Distances (metres) by camera, from sets where at least three see the person, and by pair, where only two do.
+        self._distances: collections.defaultdict[tuple[str, ...], list[float]] = collections.defaultdict(list)
         self._sets = 0
         self._delivered: collections.Counter[str] = collections.Counter()
-        self._saw: collections.Counter[str] = collections.Counter()
+        self._observed: collections.Counter[str] = collections.Counter()
         self._medians: collections.defaultdict[str, list[float]] = collections.defaultdict(list)
 
     def __call__(self, cloud: LabelledCloud) -> list[str]:
-        """Add the cloud of a set; whenever enough are together, what is wrong with the cameras, one line each."""
+        """Add the cloud of a frame set; after every ``SETS`` of them, the problems found, one line each."""
         views = {
-            camera.name: np.where(own[_MIDDLE, 3:] < SURE_M, own[_MIDDLE, :3], np.nan)
-            for camera, own in zip(cloud.cameras, cloud.joints, strict=False)
-            if own is not None
+            camera.name: np.where(joints[_MIDDLE, 3:] < EXPECTED_ERROR_M, joints[_MIDDLE, :3], np.nan)
+            for camera, joints in zip(cloud.cameras, cloud.joints, strict=False)
+            if joints is not None
         }
-        seeing = {name: places for name, places in views.items() if np.isfinite(places[:, 0]).sum() >= FEWEST_JOINTS}
-        if not seeing:
+        estimates = {
+            name: positions for name, positions in views.items() if np.isfinite(positions[:, 0]).sum() >= FEWEST_JOINTS
+        }
+        if not estimates:
             return []
         self._sets += 1
         self._delivered.update(views.keys())
-        self._saw.update(seeing.keys())
-        if len(seeing) > 1:
-            names = tuple(sorted(seeing))  # whichever frame came first, a pair is one pair
-            distances = _from_the_middle(np.stack([seeing[name] for name in names]))
+        self._observed.update(estimates.keys())
+        if len(estimates) > 1:
+            names = tuple(sorted(estimates))  # one key for a pair, in whatever order its frames came
+            distances = _distances_to_median(np.stack([estimates[name] for name in names]))
             if len(names) == 2:
-                self._apart[names].append(2 * distances[0])
+                self._distances[names].append(2 * distances[0])
             else:
                 for name, distance in zip(names, distances, strict=True):
-                    self._apart[(name,)].append(distance)
+                    self._distances[(name,)].append(distance)
         return self.finish() if self._sets >= SETS else []
 
     def finish(self) -> list[str]:
-        """What is wrong with the cameras by the sets since it was last told."""
+        """The problems of the frame sets since the last judgement, one line each."""
         if not self._sets:
             return []
-        found: list[str] = []
-        alone: list[str] = []
-        enough = {names: values for names, values in self._apart.items() if len(values) >= FEWEST_SETS}
-        # Of two cameras nobody can tell which one is wrong, and three that are together for long can.
-        if any(len(names) == 1 for names in enough):
-            enough = {names: values for names, values in enough.items() if len(names) == 1}
-        for names, values in enough.items():
+        problems: list[str] = []
+        misplaced: list[str] = []
+        judged = {names: values for names, values in self._distances.items() if len(values) >= FEWEST_SETS}
+        # Two cameras cannot show which of them is misplaced; three can.
+        if any(len(names) == 1 for names in judged):
+            judged = {names: values for names, values in judged.items() if len(names) == 1}
+        for names, values in judged.items():
             median_m = float(np.median(values))
             for name in names:
                 self._medians[name].append(median_m)
-            if median_m > APART_M and len(names) == 2:
-                found.append(_apart(names))
-            elif median_m > APART_M:
-                alone += names
-        found += [_off(alone)] if alone else []
-        seldom = [
-            name for name, count in self._delivered.items() if count >= FEWEST_SETS and self._saw[name] < SELDOM * count
+            if median_m > MISPLACED_M and len(names) == 2:
+                problems.append(_pair_message(names))
+            elif median_m > MISPLACED_M:
+                misplaced += names
+        problems += [_misplaced_message(misplaced)] if misplaced else []
+        blind = [
+            name
+            for name, count in self._delivered.items()
+            if count >= FEWEST_SETS and self._observed[name] < LEAST_SHARE * count
         ]
-        found += [_seldom(seldom)] if seldom else []
-        self._apart.clear()
+        problems += [_blind_message(blind)] if blind else []
+        self._distances.clear()
         self._sets = 0
-        # Of what was seen long ago ever less counts, or a camera that turns away would be told of after as long a time.
-        for counts in (self._delivered, self._saw):
+        # Old counts fade. Otherwise a camera that turns away after an hour would be reported an hour later.
+        for counts in (self._delivered, self._observed):
             for name in counts:
                 counts[name] //= 2
-        return found
+        return problems
 
-    def apart_m(self) -> dict[str, float]:
-        """How far from where the others see the person each camera does, in the median (metres); between two cameras
-        their distance. Without those that cannot be compared."""
+    def distances_m(self) -> dict[str, float]:
+        """Median distance (metres) of each camera's joints from the median of all cameras; of two cameras, between
+        them.
+
+        Cameras that cannot be compared are left out.
+        """
         return {name: float(np.median(values)) for name, values in self._medians.items()}
 
 
-def _from_the_middle(places: Float[ndarray, "views joints 3"]) -> Float[ndarray, "views"]:
-    known = np.isfinite(places[..., 0])
-    both = known.any(0)  # a joint that no view tells has no middle
-    places, known = places[:, both], known[:, both]
-    distances = np.linalg.norm(places - np.nanmedian(places, 0), axis=-1)
-    return np.array([np.median(own[told]) for own, told in zip(distances, known, strict=True)])
+def _distances_to_median(positions: Float[ndarray, "views joints 3"]) -> Float[ndarray, "views"]:
+    """Median distance of each view's joints from the median over the views (metres)."""
+    known = np.isfinite(positions[..., 0])
+    observed = known.any(0)  # a joint without any view has no median
+    positions, known = positions[:, observed], known[:, observed]
+    distances = np.linalg.norm(positions - np.nanmedian(positions, 0), axis=-1)
+    return np.array([np.median(row[mask]) for row, mask in zip(distances, known, strict=True)])
 
 
 _CALIBRATE = "calibrate: depthmocap calibrate RECORDING --out rig.json"
+_LIMIT = f"more than {100 * MISPLACED_M:.0f} cm"
 
 
-_LIMIT = f"more than {100 * APART_M:.0f} cm"
-
-
-def _apart(names: tuple[str, ...]) -> str:
+def _pair_message(names: tuple[str, ...]) -> str:
     return (
         f"{cameras(names)} see the person {_LIMIT} apart: they stand elsewhere than the rig says, or their times do "
         f"not fit; {_CALIBRATE}"
     )
 
 
-def _off(names: list[str]) -> str:
+def _misplaced_message(names: list[str]) -> str:
     what = f"the person {_LIMIT} from where the others do"
     if len(names) > 1:
         why = "they stand elsewhere than the rig says, or their times are off"
@@ -125,7 +137,7 @@ def _off(names: list[str]) -> str:
     return f"{cameras(names)} sees {what}: it stands elsewhere than the rig says, or its time is off; {_CALIBRATE}"
 
 
-def _seldom(names: list[str]) -> str:
+def _blind_message(names: list[str]) -> str:
     what = "next to nothing of the person whom others see"
     if len(names) > 1:
         why = "if they look at them, they stand elsewhere than the rig says"

@@ -20,10 +20,10 @@ from depthmocap.pose.parts import body_frame, part_statistics
 #: deviation (3), minimum (3), maximum (3).
 FEATURES_PER_REGION = 24
 FEATURE_COUNT = REGION_COUNT * FEATURES_PER_REGION
-#: What the numbers of a cloud are relative to: the Z-up world, as in the paper; the cloud's middle in it; or the middle
-#: and the direction that the body faces (``parts.body_frame``), which is +x then.
+#: Frame of the features: the Z-up world, as in the paper; the same centred on the cloud; or also rotated so that the
+#: body faces +x (``parts.body_frame``).
 FeatureFrame = Literal["world", "cloud", "body"]
-#: Regions with fewer points are taken as unseen: their statistics would be those of stray pixels.
+#: A region with fewer points counts as unobserved: its statistics would be those of stray pixels.
 MIN_POINTS = 8
 
 
@@ -31,7 +31,7 @@ MIN_POINTS = 8
 class Features:
     """A cloud's feature vector and the frame it is in: ``point_feature = rotation @ (point_world - origin_world)``.
 
-    ``values`` is region-major and NaN for the regions nobody sees. ``counts`` are the points of each region and
+    ``values`` is region-major and NaN for unobserved regions. ``counts`` are the points of each region and
     ``mean_weights`` their mean label probability, 0 where there are none.
     """
 
@@ -55,19 +55,19 @@ def cloud_features(
 ) -> Features:
     """Statistics of each region of a labelled cloud, in metres and square metres.
 
-    The frame is the world turned Z-up: as it is ("world", the paper's form), centred on the median of all points along
-    each axis, which a stray pixel cannot move, so that where the person stands makes no difference ("cloud"), or turned
-    as well so that the body faces +x, which a person who turns does not change either ("body"). Covariances are the
-    population's (divided by n). Label probabilities do not weigh the statistics.
+    The frame is the world rotated Z-up: as it is ("world", the paper's form); centred on the median of all points along
+    each axis, so that the person's position makes no difference ("cloud"); or also rotated so that the body faces +x,
+    so that the person's direction makes none either ("body"). Covariances are divided by n. Label probabilities do not
+    weight the statistics.
 
     Args:
         up: the world's up axis, ``"z"``, ``"y"`` or ``"-y"``.
-        frame: "body" asks for a cloud that knows its cameras.
+        frame: "body" requires a cloud with cameras.
         min_points: regions with fewer points are NaN.
 
     Raises:
         InputError: for another ``up``, ``min_points`` below 1, a label outside 1–43, a point that is not finite, or a
-            cloud that does not know its cameras where the frame is the body's.
+            cloud without cameras where the frame is the body's.
     """
     if min_points < 1:
         raise InputError(f"min_points must be at least 1, not {min_points}")
@@ -76,7 +76,7 @@ def cloud_features(
     except ValueError as error:
         raise InputError(str(error)) from None
     if frame == "body":
-        rotation = body_frame(part_statistics(cloud, up)).turn @ rotation
+        rotation = body_frame(part_statistics(cloud, up)).rotation @ rotation
     by_region, starts, weight_sums, bad = sort_by_region(
         np.ascontiguousarray(cloud.points_world),
         np.ascontiguousarray(cloud.labels),
@@ -91,13 +91,13 @@ def cloud_features(
         centre = np.zeros(3)
 
     values = np.full((REGION_COUNT, FEATURES_PER_REGION), np.nan, np.float32)
-    seen = ~np.isnan(statistics[:, 0])
-    median, low, high, covariance = np.split(statistics[seen], [3, 6, 9], axis=1)
-    values[seen] = np.concatenate(
+    observed = ~np.isnan(statistics[:, 0])
+    median, low, high, covariance = np.split(statistics[observed], [3, 6, 9], axis=1)
+    values[observed] = np.concatenate(
         [
             median - centre,
             covariance,
-            # Rounding may leave the variance of a flat region a hair below zero.
+            # Rounding may make the variance of a flat region slightly negative.
             np.linalg.eigvalsh(covariance.reshape(-1, 3, 3)).clip(0),
             np.sqrt(covariance[:, [0, 4, 8]]),
             low - centre,

@@ -1,4 +1,4 @@
-"""A view with a region for every pixel: what classification hands to view aggregation."""
+"""A view with a body region for every pixel: the output of classification and the input of view aggregation."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ LABELS: tuple[Labels, ...] = ("network", "true")
 
 
 class LabelledView(NamedTuple):
-    """A view, its labels per pixel, the probabilities of those labels (None: the labels are true), and where the
-    network takes the joints to be in the world, with the error to expect (metres; None or NaN: it does not tell)."""
+    """A view with its label per pixel, the labels' probabilities (None: true labels), and the joints that the network
+    estimates from this view alone: world position and expected error (metres; None or NaN without an estimate)."""
 
     view: View
     labels: UInt8[ndarray, "_ _"]
@@ -29,12 +29,14 @@ class LabelledView(NamedTuple):
 
 
 def label_people(views: Sequence[View], classifier: Classifier, up: str | None = None) -> list[LabelledView]:
-    """Views with what the network finds at the person's mask, or where there is none at every pixel with depth.
+    """Views with the network's labels inside the person's mask; a view without a mask is labelled wherever it has
+    depth.
 
     Args:
-        up: the world's up axis, where it is known (see ``Classifier.label_views``).
+        up: the world's up axis if known (see ``Classifier.label_views``).
     """
     masks = [view.depth_m > 0 if view.mask is None else view.mask for view in views]
     return [
-        LabelledView(view, *found) for view, found in zip(views, classifier.label_views(views, masks, up), strict=True)
+        LabelledView(view, *labels)
+        for view, labels in zip(views, classifier.label_views(views, masks, up), strict=True)
     ]

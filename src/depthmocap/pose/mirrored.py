@@ -1,5 +1,4 @@
-"""A view that takes the front of a body for its back sees left and right exchanged. The other views tell, and it is
-undone before they vote."""
+"""Correction of mirrored views: a view that mistakes the front of a body for its back has left and right swapped."""
 
 from __future__ import annotations
 
@@ -13,55 +12,61 @@ from depthmocap.body.regions import MIRROR as MIRRORED_REGIONS
 from depthmocap.body.skeleton import MIRROR, SIDED
 from depthmocap.pose.labelled_view import LabelledView
 
-#: One of two views is mirrored where exchanging its sides leaves less than this share of their distance, and that much
-#: (metres) less.
-RATIO, GAIN_M = 0.8, 0.06
-#: Mean probability of its labels at which a view tells nothing of the sides; above, every view counts by how much.
-GUESS = 0.45
-_LEAST = 0.01
-#: Labels with left and right exchanged; what is no region stays.
-_EXCHANGED = np.arange(256, dtype=np.uint8)
-_EXCHANGED[: len(MIRRORED_REGIONS)] = MIRRORED_REGIONS
+#: A view is mirrored against another if swapping its sides reduces their distance to less than this share
+RATIO = 0.8
+#: and by at least this much (metres).
+GAIN_M = 0.06
+#: Mean label probability at which a view knows nothing of the sides. A view's vote is its mean probability above this,
+CHANCE = 0.45
+#: but at least this.
+_LEAST_CONFIDENCE = 0.01
+#: Labels with left and right swapped; labels that are no region stay.
+_SWAPPED = np.arange(256, dtype=np.uint8)
+_SWAPPED[: len(MIRRORED_REGIONS)] = MIRRORED_REGIONS
 
 
 def undo_mirrored(parts: Sequence[LabelledView]) -> list[LabelledView]:
-    """The views of one person, left and right exchanged in those that are mirrored against the surer ones.
+    """The views of one person, with left and right swapped in those that are mirrored.
 
-    Views are compared by where each by itself takes the joints of both sides to be; views without any, and with true
+    Each view's own estimates of the sided joints are compared with the most confident view's. Of the two groups that
+    disagree, the one with the lower sum of confidences is mirrored. Views without such estimates, and views with true
     labels, stay as they are.
     """
     parts = list(parts)
-    joints = {i: told for i, part in enumerate(parts) if (told := _told(part)) is not None}
+    joints = {i: estimate for i, part in enumerate(parts) if (estimate := _own_joints(part)) is not None}
     if len(joints) < 2:
         return parts
-    first = min(joints, key=lambda i: float(joints[i][SIDED, 3].mean()))
-    same, mirrored = [first], []
+    reference = min(joints, key=lambda i: float(joints[i][SIDED, 3].mean()))
+    same, mirrored = [reference], []
     for i in joints:
-        if i != first:
-            apart, exchanged = _apart(joints[i], joints[first]), _apart(joints[i][MIRROR], joints[first])
-            if exchanged < RATIO * apart and apart - exchanged > GAIN_M:
+        if i != reference:
+            distance, swapped = (
+                _mean_distance(joints[i], joints[reference]),
+                _mean_distance(joints[i][MIRROR], joints[reference]),
+            )
+            if swapped < RATIO * distance and distance - swapped > GAIN_M:
                 mirrored.append(i)
-            elif apart <= exchanged:
+            elif distance <= swapped:
                 same.append(i)
     if not mirrored:
         return parts
-    for i in min(same, mirrored, key=lambda group: sum(_sureness(parts[i]) for i in group)):
-        parts[i] = parts[i]._replace(labels=_EXCHANGED[parts[i].labels], joints=joints[i][MIRROR])
+    for i in min(same, mirrored, key=lambda group: sum(_confidence(parts[i]) for i in group)):
+        parts[i] = parts[i]._replace(labels=_SWAPPED[parts[i].labels], joints=joints[i][MIRROR])
     return parts
 
 
-def _told(part: LabelledView) -> Float[ndarray, "18 4"] | None:
-    """Where a view that knows how sure it is takes the joints to be."""
+def _own_joints(part: LabelledView) -> Float[ndarray, "18 4"] | None:
+    """The view's own joint estimates; None for true labels, or where a sided joint is missing."""
     known = part.joints is not None and part.weights is not None and np.isfinite(part.joints[SIDED]).all()
     return part.joints if known else None
 
 
-def _apart(joints: Float[ndarray, "18 4"], others: Float[ndarray, "18 4"]) -> float:
-    return float(np.linalg.norm(joints[SIDED, :3] - others[SIDED, :3], axis=1).mean())
+def _mean_distance(joints: Float[ndarray, "18 4"], reference: Float[ndarray, "18 4"]) -> float:
+    return float(np.linalg.norm(joints[SIDED, :3] - reference[SIDED, :3], axis=1).mean())
 
 
-def _sureness(part: LabelledView) -> float:
+def _confidence(part: LabelledView) -> float:
     labelled = (part.labels > 0) & (part.labels < len(MIRRORED_REGIONS))
     if part.weights is None or not labelled.any():
-        return _LEAST
-    return max(float(part.weights[labelled].mean()) - GUESS, _LEAST)
+        return _LEAST_CONFIDENCE
+    return max(float(part.weights[labelled].mean()) - CHANCE, _LEAST_CONFIDENCE)

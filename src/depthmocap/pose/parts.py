@@ -1,10 +1,10 @@
-"""What each camera saw of each part of the body, in few numbers; and the frame of the body they are put into.
+"""Statistics of each body part in each camera, and the body's frame, in which the votes network reads them.
 
-Parts are the 43 regions, and behind them the 18 joints, of which a camera's part is where the network takes the joint
-to be from what that camera saw.
+The parts are the 43 regions, then the 18 joints. A joint's statistics are the position that the network estimates from
+that camera alone.
 
-Unlike the paper's statistics (``features``) these turn with the points: a person who turns gives the same numbers in
-the frame of their own body, and a sample can be turned, mirrored or seen by fewer cameras without its points.
+Unlike the paper's statistics (``features``) these rotate with the points: a person who turns gives the same numbers in
+the frame of their body. A sample can be rotated, mirrored or reduced to fewer cameras without its points.
 """
 
 from __future__ import annotations
@@ -23,18 +23,19 @@ from depthmocap.geometry import z_up_from
 from depthmocap.kernels.part_moments import part_moments
 from depthmocap.pose.cloud import LabelledCloud
 
-#: Columns of what a camera saw of a region: points, area seen (m²), mean label probability, share of it near the
-#: centre, centre (3, m), covariance (xx, xy, xz, yy, yz, zz, m²), direction to the camera (3). Of a joint: 1, 0, the
-#: share of expected errors that are larger, 0, place, covariance of the expected error, direction to the camera.
-COUNT, AREA, PROBABILITY, NEAR, CENTRE, COVARIANCE, TOWARDS = 0, 1, 2, 3, slice(4, 7), slice(7, 13), slice(13, 16)
+#: Columns of a part's statistics in one camera. For a region: number of points, visible area (m²), mean label
+#: probability, share of it near the centre, centre (3, m), covariance (xx, xy, xz, yy, yz, zz, m²) and direction to the
+#: camera (3). For a joint: 1, 0, a confidence that falls with the expected error, 0, position, covariance of the
+#: expected error and direction to the camera.
+COUNT, AREA, PROBABILITY, CENTRAL, CENTRE, COVARIANCE, TO_CAMERA = 0, 1, 2, 3, slice(4, 7), slice(7, 13), slice(13, 16)
 PART_COLUMNS = 16
 PART_COUNT = REGION_COUNT + len(JOINTS)
-#: Regions of a view with fewer points are taken as unseen.
+#: A region with fewer points in a view counts as unobserved there.
 MIN_POINTS = 6
-#: Points this far from their region's centre count a quarter (metres): half a thigh.
+#: Distance from a region's centre at which a point counts a quarter (metres): half a thigh.
 _SCALE_M = 0.25
 
-#: Where each column of a symmetric matrix's row stands in the columns of ``COVARIANCE``.
+#: Column in ``COVARIANCE`` of each element of the symmetric matrix.
 _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 _UPPER = np.triu_indices(3)
 
@@ -54,44 +55,43 @@ assert len(REGION_NAMES) == REGION_COUNT + 1
 
 
 def _limb(regions: tuple[str, ...], joints: tuple[str, ...]) -> Bool[ndarray, "61"]:
-    found = np.zeros(PART_COUNT, bool)
-    found[_regions(*(f"{name} {side}" for name in regions for side in "RL"))] = True
-    found[[REGION_COUNT + JOINT_INDEX[side + name] for name in joints for side in "RL"]] = True
-    return found
+    members = np.zeros(PART_COUNT, bool)
+    members[_regions(*(f"{name} {side}" for name in regions for side in "RL"))] = True
+    members[[REGION_COUNT + JOINT_INDEX[side + name] for name in joints for side in "RL"]] = True
+    return members
 
 
-#: The parts that a classifier takes for those of the other side together: of the arms, of the legs.
+#: The parts of the arms, and those of the legs: a classifier mistakes them for the other side's together.
 ARMS = _limb(("upper arm", "elbow", "forearm", "wrist", "hand"), ("Elbow", "Hand"))
 LEGS = _limb(("thigh", "knee", "shin", "ankle", "forefoot"), ("Knee", "Foot"))
-#: A joint with this error to expect has a probability of a half (metres).
+#: Expected error of a joint with a probability of a half (metres).
 _TYPICAL_ERROR_M = 0.1
-#: A pair of regions of both sides is about so far apart (metres), to weigh it against what one side alone tells.
+#: Typical distance of the left and right regions of a pair (metres): weighs pairs against single regions.
 _PAIR_M = 0.2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class BodyFrame:
-    """A place near the middle of the trunk and the direction it faces, of each sample: ``x`` forwards, ``y`` to the
-    body's left, ``z`` up. ``point_body = turn @ (point - origin)``."""
+    """The body's frame of each sample: origin near the middle of the trunk (metres), ``x`` forwards, ``y`` to the
+    body's left, ``z`` up. ``point_body = rotation @ (point - origin)``."""
 
     origin: Float[ndarray, "*n 3"]
-    turn: Float[ndarray, "*n 3 3"]
+    rotation: Float[ndarray, "*n 3 3"]
 
     def from_world(self, points: Float[ndarray, "*n j 3"]) -> Float[ndarray, "*n j 3"]:
         """Points of the Z-up world in the body's frame."""
-        return (points - self.origin[..., None, :]) @ np.swapaxes(self.turn, -1, -2)
+        return (points - self.origin[..., None, :]) @ np.swapaxes(self.rotation, -1, -2)
 
     def to_world(self, points: Float[ndarray, "*n j 3"]) -> Float[ndarray, "*n j 3"]:
         """Points of the body's frame in the Z-up world."""
-        return points @ self.turn + self.origin[..., None, :]
+        return points @ self.rotation + self.origin[..., None, :]
 
 
 def part_statistics(cloud: LabelledCloud, up: str = "z") -> Float32[ndarray, "views 61 16"]:
-    """What each camera saw of each part, in the world turned Z-up; rows of unseen parts are 0.
+    """Statistics of each part in each camera, in the world rotated Z-up; rows of unobserved parts are 0.
 
     Raises:
-        InputError: for another ``up``, a cloud that does not know its cameras, a label outside 1–43 or a point that is
-            not finite.
+        InputError: for another ``up``, a cloud without cameras, a label outside 1–43 or a point that is not finite.
     """
     try:
         rotation = z_up_from(up)
@@ -104,30 +104,30 @@ def part_statistics(cloud: LabelledCloud, up: str = "z") -> Float32[ndarray, "vi
     ):
         raise InputError(f"points have a label outside 1–{REGION_COUNT} or are not finite")
     parts = np.zeros((len(cloud.cameras), PART_COUNT, PART_COLUMNS), np.float32)
-    for out, joints, camera in zip(parts, cloud.joints, cloud.cameras, strict=False):
+    for rows, joints, camera in zip(parts, cloud.joints, cloud.cameras, strict=False):
         if joints is not None and np.isfinite(joints).all():
-            out[REGION_COUNT:] = _joint_rows(joints, rotation, rotation @ camera.world_from_camera[:3, 3])
+            rows[REGION_COUNT:] = _joint_rows(joints, rotation, rotation @ camera.world_from_camera[:3, 3])
     end = 0
-    for out, size, camera in zip(parts[:, :REGION_COUNT], cloud.view_sizes, cloud.cameras, strict=True):
+    for rows, size, camera in zip(parts[:, :REGION_COUNT], cloud.view_sizes, cloud.cameras, strict=True):
         start, end = end, end + size
         moments = part_moments(
             cloud.points_world[start:end], cloud.labels[start:end], cloud.weights[start:end], rotation, REGION_COUNT,
             _SCALE_M,
         )  # fmt: skip
-        seen = moments[:, 0] >= MIN_POINTS
-        count, total, near = moments[seen, 0], moments[seen, 1], moments[seen, 2]
-        centre = moments[seen, 3:6]
-        towards = rotation @ camera.world_from_camera[:3, 3] - centre
-        distance = np.linalg.norm(towards, axis=1)
-        out[seen] = np.column_stack(
+        observed = moments[:, 0] >= MIN_POINTS
+        count, total, near = moments[observed, 0], moments[observed, 1], moments[observed, 2]
+        centre = moments[observed, 3:6]
+        to_camera = rotation @ camera.world_from_camera[:3, 3] - centre
+        distance = np.linalg.norm(to_camera, axis=1)
+        rows[observed] = np.column_stack(
             [
                 count,
                 count * distance**2 / (camera.fx * camera.fy),
                 total / count,
                 near / total,
                 centre,
-                moments[seen, 6:],
-                towards / distance[:, None],
+                moments[observed, 6:],
+                to_camera / distance[:, None],
             ]
         )
     return parts
@@ -137,33 +137,33 @@ def _joint_rows(
     joints: Float[ndarray, "18 4"], rotation: Float[ndarray, "3 3"], eye: Float[ndarray, "3"]
 ) -> Float[ndarray, "18 16"]:
     centre, expected_m = joints[:, :3] @ rotation.T, joints[:, 3]
-    towards = eye - centre
+    to_camera = eye - centre
     rows = np.zeros((len(joints), PART_COLUMNS))
     rows[:, COUNT] = 1
     rows[:, PROBABILITY] = 1 / (1 + expected_m / _TYPICAL_ERROR_M)
     rows[:, CENTRE] = centre
     rows[:, COVARIANCE] = expected_m[:, None] ** 2 * [1, 0, 0, 1, 0, 1]
-    rows[:, TOWARDS] = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+    rows[:, TO_CAMERA] = to_camera / np.linalg.norm(to_camera, axis=1, keepdims=True)
     return rows
 
 
-def seen_parts(parts: Float32[ndarray, "*n 61 16"]) -> Bool[ndarray, "*n 61"]:
-    """Where a camera saw a part."""
+def observed_parts(parts: Float32[ndarray, "*n 61 16"]) -> Bool[ndarray, "*n 61"]:
+    """Whether each camera observed each part."""
     return parts[..., COUNT] > 0
 
 
 def body_frame(parts: Float32[ndarray, "*n views 61 16"]) -> BodyFrame:
-    """The body's frame, from the trunk as far as it was seen.
+    """The body's frame, from the observed regions of the trunk.
 
-    Its middle weighs the centres by area and probability. It faces where three hints point together: from the right
-    regions to the left ones, from the cameras that see the back to those that see the front, and from those that see
-    the right to those that see the left. Where nothing tells, it faces along the world's x.
+    Its origin is the mean of the centres, weighted by area and probability. Its direction is the sum of three cues:
+    from the right regions to the left ones, from the cameras that see the back to those that see the front, and from
+    those that see the right to those that see the left. Without any of them it faces along the world's x.
     """
     parts = parts[..., :REGION_COUNT, :]
     weights = (parts[..., AREA] * parts[..., PROBABILITY]).astype(np.float64)
     trunk = np.zeros(REGION_COUNT)
     trunk[np.concatenate([_LEFT, _RIGHT])] = 1
-    # All of the body stands in where no trunk was seen.
+    # Where no trunk was observed, the whole body replaces it.
     weighted = weights * (trunk + 1e-4)
     total = weighted.sum((-1, -2))
     centres = parts[..., CENTRE].astype(np.float64)
@@ -173,53 +173,53 @@ def body_frame(parts: Float32[ndarray, "*n views 61 16"]) -> BodyFrame:
     middle = np.einsum("...vr,...vrc->...rc", weights, centres) / np.maximum(by_region, 1e-12)[..., None]
     both = np.minimum(by_region[..., _LEFT], by_region[..., _RIGHT]) / _PAIR_M
     left = np.einsum("...p,...pc->...c", both, middle[..., _LEFT, :] - middle[..., _RIGHT, :])
-    facing = np.einsum("...vr,...vrc->...rc", weights, parts[..., TOWARDS].astype(np.float64))
+    facing = np.einsum("...vr,...vrc->...rc", weights, parts[..., TO_CAMERA].astype(np.float64))
     left = left + facing[..., _LEFT, :].sum(-2) - facing[..., _RIGHT, :].sum(-2)
     forward = facing[..., _FRONT, :].sum(-2) - facing[..., _BACK, :].sum(-2)
     x = forward[..., 0] + left[..., 1]
     y = forward[..., 1] - left[..., 0]
     length = np.hypot(x, y)
-    told = length > 1e-9
-    x, y = np.where(told, x, 1) / np.where(told, length, 1), np.where(told, y, 0) / np.where(told, length, 1)
+    known = length > 1e-9
+    x, y = np.where(known, x, 1) / np.where(known, length, 1), np.where(known, y, 0) / np.where(known, length, 1)
     return BodyFrame(origin, yaw_matrix(x, -y))
 
 
 def yaw_matrix(cosine: Float[ndarray, "*n"] | float, sine: Float[ndarray, "*n"] | float) -> Float[ndarray, "*n 3 3"]:
-    """Turns about z."""
+    """Rotations about z."""
     zero, one = np.zeros_like(cosine), np.ones_like(cosine)
     rows = np.stack([cosine, -sine, zero, sine, cosine, zero, zero, zero, one], -1)
     return rows.reshape(*rows.shape[:-1], 3, 3)
 
 
-def moved(
-    parts: Float32[ndarray, "*n 61 16"], turn: Float[ndarray, "*n 3 3"], shift: Float[ndarray, "*n 3"]
+def transform_parts(
+    parts: Float32[ndarray, "*n 61 16"], rotation: Float[ndarray, "*n 3 3"], shift: Float[ndarray, "*n 3"]
 ) -> Float32[ndarray, "*n 61 16"]:
-    """Parts of points that are turned about the origin, then shifted; unseen rows stay 0."""
-    out = parts.copy()
-    back = np.swapaxes(turn, -1, -2).astype(np.float32)
-    out[..., CENTRE] = parts[..., CENTRE] @ back + shift[..., None, :].astype(np.float32)
-    out[..., TOWARDS] = parts[..., TOWARDS] @ back
+    """Statistics of the points rotated about the origin, then shifted; rows of unobserved parts stay 0."""
+    rows = parts.copy()
+    back = np.swapaxes(rotation, -1, -2).astype(np.float32)
+    rows[..., CENTRE] = parts[..., CENTRE] @ back + shift[..., None, :].astype(np.float32)
+    rows[..., TO_CAMERA] = parts[..., TO_CAMERA] @ back
     full = parts[..., COVARIANCE][..., _SYMMETRIC]
     full = np.swapaxes(back, -1, -2)[..., None, :, :] @ full @ back[..., None, :, :]
-    out[..., COVARIANCE] = full[..., _UPPER[0], _UPPER[1]]
-    out[~seen_parts(parts)] = 0
-    return out
+    rows[..., COVARIANCE] = full[..., _UPPER[0], _UPPER[1]]
+    rows[~observed_parts(parts)] = 0
+    return rows
 
 
 def network_inputs(
     parts: Float32[ndarray, "*n views 61 16"], frame: BodyFrame
 ) -> tuple[Float32[ndarray, "*n views 61 16"], Bool[ndarray, "*n views 61"]]:
-    """Parts in the body's frame with columns of about unit size, and which were seen."""
-    turn = np.broadcast_to(frame.turn[..., None, :, :], (*parts.shape[:-2], 3, 3))
-    shift = -np.einsum("...ij,...j->...i", frame.turn, frame.origin)
-    out = moved(parts, turn, np.broadcast_to(shift[..., None, :], (*parts.shape[:-2], 3)))
-    seen = seen_parts(parts)
-    out[..., COUNT] = np.log1p(out[..., COUNT]) / 5
-    out[..., AREA] = np.sqrt(out[..., AREA]) * 5
-    cov = out[..., COVARIANCE]
+    """Statistics in the body's frame, scaled to about unit size, and the mask of observed parts."""
+    rotation = np.broadcast_to(frame.rotation[..., None, :, :], (*parts.shape[:-2], 3, 3))
+    shift = -np.einsum("...ij,...j->...i", frame.rotation, frame.origin)
+    rows = transform_parts(parts, rotation, np.broadcast_to(shift[..., None, :], (*parts.shape[:-2], 3)))
+    observed = observed_parts(parts)
+    rows[..., COUNT] = np.log1p(rows[..., COUNT]) / 5
+    rows[..., AREA] = np.sqrt(rows[..., AREA]) * 5
+    cov = rows[..., COVARIANCE]
     deviations = np.sqrt(np.maximum(cov[..., [0, 3, 5]], 1e-8))
     for column, (a, b) in zip((1, 2, 4), ((0, 1), (0, 2), (1, 2)), strict=True):
         cov[..., column] /= deviations[..., a] * deviations[..., b]
     cov[..., [0, 3, 5]] = deviations * 10
-    out[~seen] = 0
-    return out, seen
+    rows[~observed] = 0
+    return rows, observed

@@ -1,7 +1,7 @@
 """Pose estimation by ridge regression (paper, section "Pose Estimation"): features of a cloud to joints.
 
-With standardised features x (an unseen one is the training mean, 0) and joints y in the feature frame, minimise over
-W and b
+With standardised features x (an unobserved one is the training mean, 0) and joints y in the feature frame, minimise
+over W and b
 
     Σₙ ‖ Wᵀ xₙ + b − yₙ ‖² + strength · ‖W‖²
 
@@ -30,7 +30,7 @@ from depthmocap.pose.features import FEATURE_COUNT, FeatureFrame
 
 #: Strengths among which cross-validation chooses.
 STRENGTHS = np.logspace(-1, 6, 15)
-#: Weights are kept in 16 bits where that moves no joint coordinate of the training data by more.
+#: Weights are stored in 16 bits if that changes no joint coordinate of the training data by more (metres).
 _ROUNDING_M = 1e-3
 _FORMAT = "depthmocap ridge 2"
 
@@ -39,10 +39,10 @@ _FORMAT = "depthmocap ridge 2"
 class RidgePose:
     """A linear map from features to joints, fit for some number of views (0: any) and kind of labels.
 
-    ``mean`` and ``scale`` standardise the features; ``frame`` tells how they must be computed (see
-    ``cloud_features``). ``bias`` holds the joints of the mean features, in metres. ``labels`` is "true" or "network".
-    Standardised features are clipped to ±``clip``: a few mislabelled points far off, which move a region's minimum or
-    maximum by a metre, then move the joints by centimetres. The paper does not clip.
+    ``mean`` and ``scale`` standardise the features, which must be in ``frame`` (``cloud_features``). ``bias`` holds the
+    joints of the mean features, in metres. ``labels`` is "true" or "network". Standardised features are clipped to
+    ±``clip``. Then a few mislabelled points far away, which change a region's minimum or maximum by a metre, move the
+    joints by centimetres. The paper does not clip.
     """
 
     mean: Float32[ndarray, "1032"]
@@ -84,7 +84,7 @@ class RidgePose:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RidgeBank:
-    """One model per number of views, the largest of which serves that many and more.
+    """One model per number of views. The model of the most views also serves more views.
 
     Raises:
         InputError: without models, or when two share a number of views or the models differ in ``frame``.
@@ -99,16 +99,16 @@ class RidgeBank:
 
     @property
     def frame(self) -> FeatureFrame:
-        """What the features must be relative to."""
+        """The frame that the features must be in."""
         return self.models[0].frame
 
     def model_for(self, views: int) -> RidgePose:
-        """The model of this many views or, without one, of the next fewer; of the fewest when none has fewer."""
+        """The model of this many views or, without one, of the next lower number; else that of the fewest views."""
         by_views = sorted(self.models, key=lambda model: model.views)
         return next((model for model in reversed(by_views) if model.views <= views), by_views[0])
 
     def predict(self, features: Float[ndarray, "n f"], views: int) -> Float32[ndarray, "n 18 3"]:
-        """Joints from the features of clouds that ``views`` cameras saw; see ``RidgePose.predict``."""
+        """Joints from the features of clouds of ``views`` cameras; see ``RidgePose.predict``."""
         return self.model_for(views).predict(features)
 
     def save(self, path: Path) -> None:
@@ -126,7 +126,7 @@ class RidgeBank:
 
 
 def grouped_folds(groups: Int[ndarray, "n"], folds: int) -> Int[ndarray, "n"]:
-    """Fold 0…folds−1 of every sample: no group is split, folds are of similar size, and fewer if groups are few.
+    """Fold 0…folds−1 of every sample. No group is split, and folds are of similar size; few groups give fewer folds.
 
     Raises:
         InputError: for fewer than two folds or groups.
@@ -181,21 +181,10 @@ def fit_ridge(
     y = joints.reshape(len(joints), -1).astype(np.float64)
 
     if len(candidates) == 1:
-        sums, best = _products(x, y), 0
+        products, best = _products(x, y), 0
     else:
-        fold_of = grouped_folds(groups, folds)
-        rows_of = [np.flatnonzero(fold_of == fold) for fold in range(fold_of.max() + 1)]
-        parts = [_products(x[rows], y[rows]) for rows in rows_of]
-        sums = np.sum(parts, axis=0)
-        errors = np.zeros(len(candidates))
-        for rows, part in zip(rows_of, parts, strict=True):
-            x_out, y_out = x[rows], y[rows]
-            for i, (weights, bias) in enumerate(_solve(sums - part, candidates)):
-                misses = x_out @ weights.astype(np.float32) + bias - y_out
-                errors[i] += np.linalg.norm(misses.reshape(-1, 3), axis=1).sum()
-        best = int(errors.argmin())
-
-    weights, bias = next(_solve(sums, candidates[best : best + 1]))
+        products, best = _cross_validate(x, y, grouped_folds(groups, folds), candidates)
+    weights, bias = next(_solve(products, candidates[best : best + 1]))
     weights = weights.astype(np.float32)
     with np.errstate(over="ignore"):
         rounded = weights.astype(np.float16).astype(np.float32)
@@ -205,25 +194,40 @@ def fit_ridge(
     return RidgePose(mean, scale, weights, bias.astype(np.float32), strength, JOINTS, frame, views, labels, clip)
 
 
+def _cross_validate(x: ndarray, y: ndarray, fold_of: Int[ndarray, "n"], strengths: ndarray) -> tuple[ndarray, int]:
+    """``_products`` of all samples, and the index of the strength with the least error on the held-out folds."""
+    rows_of = [np.flatnonzero(fold_of == fold) for fold in range(fold_of.max() + 1)]
+    parts = [_products(x[rows], y[rows]) for rows in rows_of]
+    products = np.sum(parts, axis=0)
+    errors = np.zeros(len(strengths))
+    for rows, part in zip(rows_of, parts, strict=True):
+        x_out, y_out = x[rows], y[rows]
+        for i, (weights, bias) in enumerate(_solve(products - part, strengths)):
+            residuals = x_out @ weights.astype(np.float32) + bias - y_out
+            errors[i] += np.linalg.norm(residuals.reshape(-1, 3), axis=1).sum()
+    return products, int(errors.argmin())
+
+
 def _check_count(features: ndarray) -> None:
     if features.shape[1] != FEATURE_COUNT:
         raise InputError(f"expected {FEATURE_COUNT} features (see cloud_features), got {features.shape[1]}")
 
 
 def feature_moments(features: Float[ndarray, "n f"]) -> tuple[Float32[ndarray, "f"], Float32[ndarray, "f"]]:
-    """Mean and deviation of what was seen of each feature; a constant or never seen feature gets the deviation 1."""
-    seen = ~np.isnan(features)
-    count = np.maximum(seen.sum(0), 1)
-    mean = np.sum(features, axis=0, where=seen, dtype=np.float64) / count
-    deviation = np.sqrt(np.sum((features - mean) ** 2, axis=0, where=seen) / count)
-    constant = deviation <= 1e-6 * np.abs(mean) + 1e-12  # rounding only: dividing by it would amplify noise
+    """Mean and deviation of the observed values of each feature. The deviation is 1 for a feature that is constant or
+    was never observed."""
+    observed = ~np.isnan(features)
+    count = np.maximum(observed.sum(0), 1)
+    mean = np.sum(features, axis=0, where=observed, dtype=np.float64) / count
+    deviation = np.sqrt(np.sum((features - mean) ** 2, axis=0, where=observed) / count)
+    constant = deviation <= 1e-6 * np.abs(mean) + 1e-12  # only rounding: dividing by it would amplify noise
     return mean.astype(np.float32), np.where(constant, 1.0, deviation).astype(np.float32)
 
 
 def standardise(
     features: Float[ndarray, "n _"], mean: Float32[ndarray, "f"], scale: Float32[ndarray, "f"], clip: float
 ) -> Float32[ndarray, "n _"]:
-    """Features in deviations from their mean, bounded by ±``clip``; an unseen one is the mean, 0."""
+    """Features in deviations from their mean, clipped to ±``clip``; an unobserved one is the mean, 0."""
     _check_count(features)
     x = (features.astype(np.float32, copy=False) - mean) / scale
     x[np.isnan(x)] = 0
@@ -231,18 +235,18 @@ def standardise(
 
 
 def _products(x: ndarray, y: ndarray) -> ndarray:
-    """[1 X]ᵀ [1 X Y]: all that the solution needs to know of the samples. It adds up over folds."""
+    """[1 X]ᵀ [1 X Y]: all that the solution needs of the samples. The products of folds add up."""
     ones = np.ones((len(x), 1))
     left = np.concatenate([ones, x.astype(np.float64)], axis=1)
     return np.concatenate([left.T @ left, left.T @ y], axis=1)
 
 
-def _solve(sums: ndarray, strengths: ndarray) -> Iterator[tuple[ndarray, ndarray]]:
-    """Weights and bias for each strength, from ``_products``; see the top of this file."""
-    d = len(sums) - 1
-    count, x_sum, y_sum = sums[0, 0], sums[0, 1 : d + 1], sums[0, d + 1 :]
-    gram = sums[1:, 1 : d + 1] - np.outer(x_sum, x_sum) / count
-    cross = sums[1:, d + 1 :] - np.outer(x_sum, y_sum) / count
+def _solve(products: ndarray, strengths: ndarray) -> Iterator[tuple[ndarray, ndarray]]:
+    """Weights and bias for each strength, from ``_products``; by the formula at the top of this file."""
+    d = len(products) - 1
+    count, x_sum, y_sum = products[0, 0], products[0, 1 : d + 1], products[0, d + 1 :]
+    gram = products[1:, 1 : d + 1] - np.outer(x_sum, x_sum) / count
+    cross = products[1:, d + 1 :] - np.outer(x_sum, y_sum) / count
     values, vectors = scipy.linalg.eigh(gram, overwrite_a=True, check_finite=False, driver="evd")
     rotated = vectors.T @ cross
     for strength in strengths:

@@ -1,4 +1,4 @@
-"""Joints by votes of the regions: a small network run by ONNX Runtime; needs no torch."""
+"""Joints from votes of the body parts: a small network run by ONNX Runtime, without torch."""
 
 from __future__ import annotations
 
@@ -22,12 +22,11 @@ if TYPE_CHECKING:
 
 
 class VotesEstimator:
-    """Every region that a camera sees, and every joint that it guesses, votes for every joint, in a frame that turns
-    with the body; a network tells the votes and their weights from what all cameras see. Any number of cameras,
-    anywhere.
+    """Every part that a camera observes votes for the position of every joint, in the body's frame.
 
-    The confidence of a joint is the probability that it is within 10 cm of the truth, as samples kept out of the
-    training had it.
+    A network computes the votes and their weights from the statistics of all cameras, of which there may be any number,
+    anywhere. The confidence of a joint is the probability that its error is below 10 cm, calibrated on samples held out
+    of the training.
     """
 
     def __init__(self, path: Path | None = None) -> None:
@@ -41,23 +40,23 @@ class VotesEstimator:
         )
 
     def __call__(self, cloud: LabelledCloud, up: str = "z") -> tuple[Float64[ndarray, "18 3"], Float64[ndarray, "18"]]:
-        """Joints in the world (metres) and their confidence; NaN and 0 where hardly anything was seen.
+        """Joints in the world (metres) and their confidence; NaN and 0 where hardly anything was observed.
 
         Raises:
-            InputError: see ``part_statistics``.
+            InputError: as ``part_statistics``.
         """
         if len(cloud) < MIN_CLOUD_POINTS:
             return np.full((len(JOINTS), 3), np.nan), np.zeros(len(JOINTS))
         parts = part_statistics(cloud, up)
-        inputs, seen = network_inputs(parts, frame := body_frame(parts))
-        if not seen.any():
+        inputs, observed = network_inputs(parts, frame := body_frame(parts))
+        if not observed.any():
             return np.full((len(JOINTS), 3), np.nan), np.zeros(len(JOINTS))
         joints, confidence = run_votes(self._session, inputs[None])
         return frame.to_world(joints[0]) @ z_up_from(up), confidence[0]
 
 
 def voting_session(source: Path) -> onnxruntime.InferenceSession:
-    """A votes.onnx, ready to run.
+    """Open a votes.onnx.
 
     Raises:
         InputError: when the file is missing or not such a network.
@@ -75,6 +74,6 @@ def voting_session(source: Path) -> onnxruntime.InferenceSession:
 def run_votes(
     session: onnxruntime.InferenceSession, inputs: Float32[ndarray, "n views 61 16"]
 ) -> tuple[Float64[ndarray, "n 18 3"], Float64[ndarray, "n 18"]]:
-    """Joints in the body's frame and their confidence, from what ``parts.network_inputs`` gives."""
-    joints, sure = (np.asarray(each, np.float64) for each in session.run(None, {"parts": inputs}))
-    return joints, 1 / (1 + np.exp(-sure))
+    """Joints in the body's frame (metres) and their confidence, from the output of ``parts.network_inputs``."""
+    joints, logits = (np.asarray(output, np.float64) for output in session.run(None, {"parts": inputs}))
+    return joints, 1 / (1 + np.exp(-logits))

@@ -22,7 +22,7 @@ from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.geometry import Rig, check_placed, load_rig
 from depthmocap.offline.pipeline import Pipeline, Result
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline
-from depthmocap.pose.extrinsics_check import Agreement
+from depthmocap.pose.extrinsics_check import ExtrinsicsCheck
 from depthmocap.realtime.ingest import FrameIngest, frame_set, recorded_frames
 from depthmocap.realtime.status import CameraStatus, RunStatistics, camera_statuses
 from depthmocap.realtime.sync import SyncedSet, SyncSettings
@@ -93,7 +93,7 @@ class LiveCapture:
         self._timer: threading.Timer | None = None
         self._sources, self._pipeline, self._make_pipeline = list(sources), pipeline, make_pipeline
         self.reader = SyncedReader(sources, rig, sync, measure_rate)
-        self.statistics, self._agreement = RunStatistics(), Agreement()
+        self.statistics, self._extrinsics_check = RunStatistics(), ExtrinsicsCheck()
         #: Number of sets without a pose, because they came while the pipeline was prepared.
         self.sets_before_ready = 0
         self.up = rig.up if rig else (sources[0].up if sources else "z")
@@ -159,7 +159,7 @@ class LiveCapture:
 
     def apart_m(self) -> dict[str, float]:
         """How far apart the cameras see the person (metres), by the extrinsics check."""
-        return self._agreement.apart_m()
+        return self._extrinsics_check.distances_m()
 
     def statuses(self) -> list[CameraStatus]:
         """The current status of every camera."""
@@ -173,11 +173,11 @@ class LiveCapture:
                 self.sets_before_ready = self.reader.reset_dropped() + 1
                 continue
             result = self._pipeline(frame_set(synced, self.reader.cameras))
-            self.reader.problems.update(self._agreement(result.cloud))
+            self.reader.problems.update(self._extrinsics_check(result.cloud))
             arrival_ns = max(frame.arrival_ns for frame in synced.frames.values())
             latency_ms = (time.monotonic_ns() - arrival_ns) * 1e-6
             yield _count_pose(self.statistics, LivePose(result.pose, synced, result, latency_ms))
-        self.reader.problems.update(self._agreement.finish())
+        self.reader.problems.update(self._extrinsics_check.finish())
 
     def _make_warm_pipeline(self, frames: FrameSet) -> Pipeline:
         """Make the default pipeline and warm it up with the first set."""
@@ -236,7 +236,7 @@ class Replay:
         """``make_pipeline`` is called with the recording, which has its backgrounds."""
         self.pipeline = make_pipeline(recording)
         self.ingest = FrameIngest(sync or SyncSettings(rate_hz=1e9 / recording.period_ns))
-        self.statistics, self._agreement, self.up = RunStatistics(), Agreement(), recording.up
+        self.statistics, self._extrinsics_check, self.up = RunStatistics(), ExtrinsicsCheck(), recording.up
         self._recording, self._now_ns = recording, 0
         for camera in recording.rig.cameras:
             if recording.stamps(camera.name):
@@ -256,7 +256,7 @@ class Replay:
 
     def apart_m(self) -> dict[str, float]:
         """How far apart the cameras see the person (metres), by the extrinsics check."""
-        return self._agreement.apart_m()
+        return self._extrinsics_check.distances_m()
 
     def statuses(self) -> list[CameraStatus]:
         """The current status of every camera."""
@@ -268,9 +268,9 @@ class Replay:
             start_s = time.perf_counter()
             result = self.pipeline(frame_set(synced, self.ingest.cameras))
             latency_ms = (time.perf_counter() - start_s) * 1e3
-            self.ingest.problems.update(self._agreement(result.cloud))
+            self.ingest.problems.update(self._extrinsics_check(result.cloud))
             yield _count_pose(self.statistics, LivePose(result.pose, synced, result, latency_ms))
-        self.ingest.problems.update(self._agreement.finish())
+        self.ingest.problems.update(self._extrinsics_check.finish())
 
 
 def _count_pose(statistics: RunStatistics, live: LivePose) -> LivePose:

@@ -36,11 +36,11 @@ from depthmocap.pose.parts import (
     MIRRORED,
     PART_COLUMNS,
     PART_COUNT,
-    TOWARDS,
+    TO_CAMERA,
     BodyFrame,
     body_frame,
-    moved,
     network_inputs,
+    transform_parts,
     yaw_matrix,
 )
 from depthmocap.pose.ridge import grouped_folds
@@ -97,7 +97,7 @@ def augment(
     mirror = rng.random(n) < 0.5
     parts, joints = parts.copy(), joints.copy()
     flipped = parts[mirror][:, :, MIRRORED]
-    flipped[..., [CENTRE.start + 1, TOWARDS.start + 1, COVARIANCE.start + 1, COVARIANCE.start + 4]] *= -1
+    flipped[..., [CENTRE.start + 1, TO_CAMERA.start + 1, COVARIANCE.start + 1, COVARIANCE.start + 4]] *= -1
     parts[mirror] = flipped
     joints[mirror] = joints[mirror][:, MIRRORED_JOINTS] * [1, -1, 1]
 
@@ -121,7 +121,7 @@ def augment(
     turn = yaw_matrix(np.cos(angle), np.sin(angle))
     shift = rng.normal(0, 0.012, (n, views, 3)) * off[..., None]
     shift += middle[:, None] - np.einsum("nvij,nj->nvi", turn, middle)
-    return moved(parts, turn, shift), joints
+    return transform_parts(parts, turn, shift), joints
 
 
 def tilted(
@@ -138,7 +138,7 @@ def tilted(
     middle = joints[chosen].mean(1)
     shift = middle - np.einsum("nij,nj->ni", turn, middle)
     parts, joints = parts.copy(), joints.copy()
-    parts[chosen] = moved(parts[chosen], turn[:, None].repeat(views, 1), shift[:, None].repeat(views, 1))
+    parts[chosen] = transform_parts(parts[chosen], turn[:, None].repeat(views, 1), shift[:, None].repeat(views, 1))
     joints[chosen] = joints[chosen] @ np.swapaxes(turn, -1, -2) + shift[:, None]
     return parts, joints
 
@@ -147,7 +147,7 @@ def _shaken(rng: np.random.Generator, frame: BodyFrame) -> BodyFrame:
     """The body's frame, found a little wrong."""
     n = len(frame.origin)
     angle = np.where(rng.random(n) < 0.03, rng.uniform(-np.pi, np.pi, n), rng.normal(0, 0.12, n))
-    turn = yaw_matrix(np.cos(angle), np.sin(angle)) @ frame.turn
+    turn = yaw_matrix(np.cos(angle), np.sin(angle)) @ frame.rotation
     return BodyFrame(frame.origin + rng.normal(0, 0.03, (n, 3)), turn)
 
 
