@@ -9,7 +9,7 @@ import sys
 import numpy as np
 
 import depthmocap
-from depthmocap.smooth.filters import Tracker
+from depthmocap.smooth.filters import PoseSmoother
 from depthmocap.smooth.kalman import Kalman
 
 
@@ -64,8 +64,8 @@ def main(recording: str) -> None:
     pipeline = depthmocap.load_pipeline(recording)
     for most_mps in (15.0, 0.5):
         pipeline.reset()
-        # A Tracker keeps left and right apart before the filter, and bones at their lengths after it.
-        pipeline.smoothing = Tracker(SpeedLimit(Kalman(), SpeedLimitSettings(most_mps)))
+        # A PoseSmoother keeps left and right apart before the filter, and bones at their lengths after it.
+        pipeline.smoothing = PoseSmoother(SpeedLimit(Kalman(), SpeedLimitSettings(most_mps)))
         poses = [pipeline(frames).pose for frames in depthmocap.open_source(recording)]
         there = np.mean([np.isfinite(pose.joints).all(1) for pose in poses])
         print(f"limit {most_mps:g} m/s: {there:.1%} of the joints are there")

@@ -8,7 +8,7 @@ from depthmocap.geometry import DepthCamera
 from depthmocap.offline.pipeline import Pipeline
 from depthmocap.segment.people_segmenter import PersonMasks
 from depthmocap.smooth.fixed_lag import FixedLag, FixedLagSettings
-from depthmocap.smooth.pose_filter import FORGET_S
+from depthmocap.smooth.pose_filter import MAX_GAP_S
 
 RATE, LAG = 10, 3
 CAMERA = DepthCamera("a", 4, 3, 5.0, 5.0, 1.5, 1.0)
@@ -58,4 +58,4 @@ def test_every_pose_is_final_once_and_filters_of_who_has_gone_are_put_away() -> 
     for number, own in pipeline.finish_people().items():
         final.setdefault(number, []).extend(own)
     assert {number: [pose.timestamp_ns for pose in own] for number, own in final.items()} == given
-    assert most <= 2 + FORGET_S * RATE
+    assert most <= 2 + MAX_GAP_S * RATE

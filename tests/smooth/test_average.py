@@ -133,8 +133,8 @@ def test_bad_sequences_are_refused():
 def test_an_average_by_time_lags_alike_at_any_frame_rate(rate):
     average = Average()
     for i in range(20):
-        found = average(Pose(round(i / rate * 1e9), np.full((18, 3), i / rate), np.ones(18))).joints
-    assert 19 / rate - found[0, 0] == pytest.approx(average.latency_s)
+        smoothed = average(Pose(round(i / rate * 1e9), np.full((18, 3), i / rate), np.ones(18))).joints
+    assert 19 / rate - smoothed[0, 0] == pytest.approx(average.latency_s)
     # At 90 frames a second the oldest of them is not old enough to have lost all weight.
     assert 0.015 < average.latency_s < 0.035
 
@@ -142,7 +142,7 @@ def test_an_average_by_time_lags_alike_at_any_frame_rate(rate):
 def test_an_average_by_time_gives_lost_frames_their_age():
     average = Average(AverageSettings(time_constant_s=0.1))
     average(Pose(0, np.zeros((18, 3)), np.ones(18)))
-    found = average(Pose(100_000_000, np.ones((18, 3)), np.ones(18)))
-    np.testing.assert_allclose(found.joints, 1 / (1 + np.exp(-1)))
+    smoothed = average(Pose(100_000_000, np.ones((18, 3)), np.ones(18)))
+    np.testing.assert_allclose(smoothed.joints, 1 / (1 + np.exp(-1)))
     again = average(Pose(0, np.full((18, 3), 5.0), np.ones(18)))  # time goes back: another stream
     np.testing.assert_allclose(again.joints, 5)

@@ -11,7 +11,7 @@ from depthmocap.frames import Pose
 from depthmocap.smooth.average import Average
 from depthmocap.smooth.filters import FILTERS, load_filter
 from depthmocap.smooth.fixed_lag import FixedLag, FixedLagSettings
-from depthmocap.smooth.kalman import BRIDGED, Belief, Kalman, KalmanSettings, transition
+from depthmocap.smooth.kalman import BRIDGED_CONFIDENCE, Kalman, KalmanSettings, State, transition
 from depthmocap.smooth.one_euro import OneEuro, OneEuroSettings
 from depthmocap.smooth.pose_filter import PoseFilter
 
@@ -22,7 +22,7 @@ ALL = [Average, OneEuro, Kalman, FixedLag]
 
 def stream(joints, times_s=None, confidence=SURE):
     times_s = np.arange(len(joints)) / FPS if times_s is None else times_s
-    return [Pose(round(t * 1e9), each, confidence) for t, each in zip(times_s, joints, strict=True)]
+    return [Pose(round(t * 1e9), frame, confidence) for t, frame in zip(times_s, joints, strict=True)]
 
 
 def filtered(filter_: PoseFilter, poses):
@@ -50,9 +50,9 @@ def test_a_still_body_stays_where_it_is(make):
 @pytest.mark.parametrize("make", ALL)
 def test_noise_at_rest_is_smoothed(make):
     noise = 0.01 * np.random.default_rng(1).normal(size=(90, 18, 3))
-    found = joints_of(filtered(make(), stream(noise)))[30:]
-    assert np.diff(found, axis=0).std() < 0.65 * np.diff(noise, axis=0).std()
-    assert found.std() < 0.8 * noise.std()
+    result = joints_of(filtered(make(), stream(noise)))[30:]
+    assert np.diff(result, axis=0).std() < 0.65 * np.diff(noise, axis=0).std()
+    assert result.std() < 0.8 * noise.std()
 
 
 @pytest.mark.parametrize("make", ALL)
@@ -72,11 +72,11 @@ def test_gaps_stay_gaps_and_the_joint_comes_back_where_it_is(make):
     joints[20:50, 4] = np.nan
     joints[30:33] = np.nan
     confidence = SURE
-    found = filtered(make(), stream(joints, confidence=confidence))
-    np.testing.assert_array_equal(np.isnan(joints_of(found)), np.isnan(joints))
+    result = filtered(make(), stream(joints, confidence=confidence))
+    np.testing.assert_array_equal(np.isnan(joints_of(result)), np.isnan(joints))
     # After a second away the joint starts where it is measured.
-    np.testing.assert_allclose(found[50].joints[4], joints[50, 4], atol=0.01 if make is FixedLag else 1e-9)
-    np.testing.assert_allclose(joints_of(found)[59], joints[59], atol=0.05)
+    np.testing.assert_allclose(result[50].joints[4], joints[50, 4], atol=0.01 if make is FixedLag else 1e-9)
+    np.testing.assert_allclose(joints_of(result)[59], joints[59], atol=0.05)
 
 
 @pytest.mark.parametrize("make", ALL)
@@ -96,9 +96,9 @@ def test_a_stream_that_begins_again_has_no_past(make):
 def test_every_pose_comes_back_once_with_its_own_time_and_confidence(make, frames):
     confidence = np.linspace(0.2, 1, 18)
     poses = stream(np.random.default_rng(2).normal(size=(frames, 18, 3)), confidence=confidence)
-    found = filtered(make(), poses)
-    assert [pose.timestamp_ns for pose in found] == [pose.timestamp_ns for pose in poses]
-    np.testing.assert_array_equal(found[0].confidence, confidence)
+    result = filtered(make(), poses)
+    assert [pose.timestamp_ns for pose in result] == [pose.timestamp_ns for pose in poses]
+    np.testing.assert_array_equal(result[0].confidence, confidence)
     assert make().finish() == []
 
 
@@ -108,8 +108,8 @@ def test_irregular_times_of_steady_motion_leave_no_jerks(make):
     times_s = np.cumsum(rng.uniform(0.01, 0.06, 80))
     joints = np.zeros((80, 18, 3))
     joints[..., 0] = times_s[:, None]
-    found = joints_of(filtered(make(), stream(joints, times_s)))
-    behind = (times_s[:, None] - found[..., 0])[30:-5]
+    result = joints_of(filtered(make(), stream(joints, times_s)))
+    behind = (times_s[:, None] - result[..., 0])[30:-5]
     assert np.ptp(behind) < 0.02
 
 
@@ -128,11 +128,11 @@ def test_one_wild_measurement_is_not_followed(make):
 def test_a_joint_that_stays_elsewhere_is_believed(make):
     joints = np.zeros((60, 18, 3))
     joints[30:, 7] = [1.0, 0.0, 0.0]
-    found = joints_of(filtered(make(), stream(joints)))[:, 7, 0]
+    result = joints_of(filtered(make(), stream(joints)))[:, 7, 0]
     settings = KalmanSettings()
     # It is not followed at once, and there when the stated time is over.
-    assert found[30] < 0.4
-    np.testing.assert_allclose(found[30 + round(settings.restart_s * FPS) + 1 :], 1.0, atol=0.01)
+    assert result[30] < 0.4
+    np.testing.assert_allclose(result[30 + round(settings.restart_s * FPS) + 1 :], 1.0, atol=0.01)
 
 
 def test_a_sure_measurement_counts_for_more():
@@ -147,11 +147,11 @@ def test_gaps_are_bridged_for_the_time_asked():
     joints[30:45, 4] = np.nan
     settings = KalmanSettings(bridge_s=0.2)
     for filter_ in (Kalman(settings), FixedLag(FixedLagSettings(model=settings))):
-        found = filtered(filter_, stream(joints))
-        away = np.array([np.isnan(pose.joints[4, 0]) for pose in found])
+        result = filtered(filter_, stream(joints))
+        away = np.array([np.isnan(pose.joints[4, 0]) for pose in result])
         assert np.flatnonzero(away).tolist() == list(range(36, 45))
-        assert found[32].confidence[4] == BRIDGED and found[40].confidence[4] == 1  # as measured
-        np.testing.assert_allclose(found[31].joints[4], steady(0.5)[31, 4], atol=0.03)
+        assert result[32].confidence[4] == BRIDGED_CONFIDENCE and result[40].confidence[4] == 1  # as measured
+        np.testing.assert_allclose(result[31].joints[4], steady(0.5)[31, 4], atol=0.03)
 
 
 def test_a_smoother_that_waits_knows_the_gap_from_both_sides():
@@ -188,25 +188,25 @@ def test_a_smoother_that_waits_is_the_regression_over_all_frames():
         information[2 * k] += z[k] / noise
     expected = np.linalg.solve(precision, information)[::2]
     joints = np.broadcast_to(z[:, None, None], (n, 18, 3)).copy()
-    found = joints_of(filtered(FixedLag(FixedLagSettings(n - 1, settings)), stream(joints)))
-    np.testing.assert_allclose(found, np.broadcast_to(expected[:, None, None], found.shape), atol=1e-9)
+    result = joints_of(filtered(FixedLag(FixedLagSettings(n - 1, settings)), stream(joints)))
+    np.testing.assert_allclose(result, np.broadcast_to(expected[:, None, None], result.shape), atol=1e-9)
 
 
 def test_the_model_of_a_step_is_that_of_two_half_steps():
     (whole, added), (half, half_added) = transition(0.2, 0.08), transition(0.2, 0.04)
     np.testing.assert_allclose(half @ half, whole)
     np.testing.assert_allclose(half @ half_added @ half.T + half_added, added)
-    still, nothing = transition(0.2, 0.0)
+    still, unknown = transition(0.2, 0.0)
     np.testing.assert_allclose(still, np.eye(2))
-    np.testing.assert_allclose(nothing, 0, atol=1e-12)
+    np.testing.assert_allclose(unknown, 0, atol=1e-12)
 
 
 def test_one_euro_lags_less_the_faster_a_joint_is():
     behind = []
     for speed in (0.2, 2.0):
         joints = steady(speed, 90)
-        found = joints_of(filtered(OneEuro(), stream(joints)))
-        behind.append((joints - found)[-1, 0, 0] / speed)
+        result = joints_of(filtered(OneEuro(), stream(joints)))
+        behind.append((joints - result)[-1, 0, 0] / speed)
     assert behind[1] < 0.5 * behind[0]
 
 
@@ -220,7 +220,7 @@ def test_the_axes_of_the_world_do_not_matter():
 
 
 def test_nothing_believed_is_nan():
-    assert np.isnan(Belief.nothing().mean).all()
+    assert np.isnan(State.unknown().mean).all()
 
 
 @pytest.mark.parametrize(
@@ -246,7 +246,9 @@ def test_gaps_are_bridged_for_a_time_that_can_be(name, value):
 
 
 @pytest.mark.parametrize("value", [-1.0, np.nan])
-@pytest.mark.parametrize("name", [each.name for each in dataclasses.fields(KalmanSettings) if each.name != "bridge_s"])
+@pytest.mark.parametrize(
+    "name", [field.name for field in dataclasses.fields(KalmanSettings) if field.name != "bridge_s"]
+)
 def test_the_value_alone_is_named(name, value):
     limit = "at least 0" if name in ("agility", "restart_s") else "above 0"
     with pytest.raises(InputError, match=f"^Kalman filter: {name} must be {limit}, got {value}$"):

@@ -6,7 +6,7 @@ import pytest
 from depthmocap.body.skeleton import JOINT_INDEX, JOINTS, MIRROR
 from depthmocap.errors import InputError
 from depthmocap.frames import Pose
-from depthmocap.smooth.swap_guard import SideGuard, SideSettings, limb_joints
+from depthmocap.smooth.swap_guard import SwapGuard, SwapGuardSettings, limb_joints
 
 FPS = 30
 CONFIDENCE = np.linspace(0.1, 0.9, len(JOINTS))
@@ -27,11 +27,11 @@ def walker(frames=60):
 
 
 def guarded(joints, settings=None, guard=None):
-    guard = guard or SideGuard(settings)
-    return [guard(Pose(round(i / FPS * 1e9), each, CONFIDENCE)) for i, each in enumerate(joints)]
+    guard = guard or SwapGuard(settings)
+    return [guard(Pose(round(i / FPS * 1e9), frame, CONFIDENCE)) for i, frame in enumerate(joints)]
 
 
-def exchanged(joints, frames, limbs=("legs", "arms")):
+def swapped(joints, frames, limbs=("legs", "arms")):
     joints = joints.copy()
     for limb in limbs:
         order = np.where(limb_joints(limb), MIRROR, np.arange(len(JOINTS)))
@@ -46,15 +46,15 @@ def test_limbs():
 
 def test_good_sides_are_left_alone():
     joints = walker()
-    for pose, each in zip(guarded(joints), joints, strict=True):
-        np.testing.assert_array_equal(pose.joints, each)
+    for pose, frame in zip(guarded(joints), joints, strict=True):
+        np.testing.assert_array_equal(pose.joints, frame)
         np.testing.assert_array_equal(pose.confidence, CONFIDENCE)
 
 
 @pytest.mark.parametrize("limbs", [("legs",), ("arms",), ("legs", "arms")])
 def test_a_flip_is_undone_with_its_confidence(limbs):
     joints = walker()
-    poses = guarded(exchanged(joints, slice(20, 28), limbs))
+    poses = guarded(swapped(joints, slice(20, 28), limbs))
     np.testing.assert_array_equal(np.stack([pose.joints for pose in poses]), joints)
     flipped = np.isin(np.arange(18), np.flatnonzero(np.any([limb_joints(limb) for limb in limbs], axis=0)))
     np.testing.assert_array_equal(poses[22].confidence, np.where(flipped, CONFIDENCE[MIRROR], CONFIDENCE))
@@ -63,22 +63,24 @@ def test_a_flip_is_undone_with_its_confidence(limbs):
 
 def test_a_wrong_start_is_corrected_after_the_stated_time():
     joints = walker()
-    found = np.stack([pose.joints for pose in guarded(exchanged(joints, slice(0, 5)), SideSettings(limit_s=0.5))])
-    wrong = np.abs(found - joints).max((1, 2)) > 0.01
+    corrected = np.stack(
+        [pose.joints for pose in guarded(swapped(joints, slice(0, 5)), SwapGuardSettings(limit_s=0.5))]
+    )
+    wrong = np.abs(corrected - joints).max((1, 2)) > 0.01
     assert np.flatnonzero(wrong).tolist() == list(range(wrong.sum()))
     assert 5 + 14 <= wrong.sum() <= 5 + 16
 
 
 def test_a_wrong_start_is_corrected_among_other_flips():
     joints = walker(90)
-    spoilt = exchanged(exchanged(joints, slice(0, 5)), slice(9, 90, 8), ("legs",))
-    found = np.stack([pose.joints for pose in guarded(spoilt)])
-    assert np.abs(found - joints)[40:].max() < 0.01
+    spoilt = swapped(swapped(joints, slice(0, 5)), slice(9, 90, 8), ("legs",))
+    corrected = np.stack([pose.joints for pose in guarded(spoilt)])
+    assert np.abs(corrected - joints)[40:].max() < 0.01
 
 
 def test_a_pause_or_another_recording_forgets():
     joints = walker(10)
-    guard = SideGuard()
+    guard = SwapGuard()
     guarded(joints, guard=guard)
     late = Pose(10_000_000_000, joints[0][MIRROR], CONFIDENCE)
     np.testing.assert_array_equal(guard(late).joints, joints[0][MIRROR])
@@ -89,15 +91,15 @@ def test_a_pause_or_another_recording_forgets():
 def test_missing_joints_do_not_decide():
     joints = walker()
     joints[10, limb_joints("legs")] = np.nan
-    flipped = exchanged(joints, slice(11, 13))
+    flipped = swapped(joints, slice(11, 13))
     flipped[11:13, JOINT_INDEX["LFoot"]] = np.nan
-    found = guarded(flipped)
-    assert np.isnan(found[10].joints[limb_joints("legs")]).all()
+    corrected = guarded(flipped)
+    assert np.isnan(corrected[10].joints[limb_joints("legs")]).all()
     # The one that is missing was the right foot.
-    assert np.isnan(found[11].joints[JOINT_INDEX["RFoot"]]).all()
-    np.testing.assert_array_equal(found[11].joints[JOINT_INDEX["LKnee"]], joints[11, JOINT_INDEX["LKnee"]])
+    assert np.isnan(corrected[11].joints[JOINT_INDEX["RFoot"]]).all()
+    np.testing.assert_array_equal(corrected[11].joints[JOINT_INDEX["LKnee"]], joints[11, JOINT_INDEX["LKnee"]])
 
 
 def test_bad_settings():
     with pytest.raises(InputError, match="ratio"):
-        SideSettings(ratio=1.5)
+        SwapGuardSettings(ratio=1.5)

@@ -21,7 +21,7 @@ from depthmocap.pose.cloud import LabelledCloud, merge_views
 from depthmocap.pose.estimators import JointEstimator
 from depthmocap.pose.labelled_view import LabelledView
 from depthmocap.segment.people_segmenter import PersonMasks
-from depthmocap.smooth.pose_filter import FORGET_S, PoseFilter
+from depthmocap.smooth.pose_filter import MAX_GAP_S, PoseFilter
 
 STAGES = ("segment", "label", "merge", "joints", "smooth")
 
@@ -172,7 +172,7 @@ class Pipeline:
 
     def _gone(self, now_ns: int) -> dict[int, list[Pose]]:
         """What filters held back of people whom they forget, by number; a filter begins anew when somebody returns."""
-        gone = [number for number, own in self._filters.items() if not 0 <= now_ns - own.last_ns <= FORGET_S * 1e9]
+        gone = [number for number, own in self._filters.items() if not 0 <= now_ns - own.last_ns <= MAX_GAP_S * 1e9]
         return {number: self._filters.pop(number).filter.finish() for number in gone}
 
     def _smooth(self, number: int, pose: Pose, followed: Pose, final: dict[int, list[Pose]]) -> Pose:

@@ -2,8 +2,8 @@
 
     Ỹᵢ = Σⱼ λⱼ Yᵢ₋ⱼ,  j = 0…K,  with Σⱼ λⱼ = 1
 
-Estimates that are missing (NaN) are left out and the other weights rescaled to sum to one, joint by joint. A joint that
-is missing now stays missing: gaps are marked, never filled. Weights belong to one frame rate.
+Missing estimates (NaN) are left out, joint by joint, and the other weights are rescaled to sum to one. A joint that is
+missing now stays missing: gaps are not filled. The weights are for one frame rate.
 """
 
 from __future__ import annotations
@@ -22,33 +22,35 @@ from depthmocap.frames import Pose
 from depthmocap.pose.ridge import grouped_folds
 from depthmocap.smooth.pose_filter import PoseFilter
 
-#: Current estimate first. A mean delay of 0.7 frames, 23 ms at 30 frames a second; white noise falls to 0.62 of itself.
+#: Weights of the current and the previous estimates: a mean delay of 0.7 frames (23 ms at 30 Hz), and 0.62 of the
+#: noise.
 DEFAULT_WEIGHTS = np.array([0.5, 0.3, 0.2])
-#: With less than this share of the weights present, rescaling would blow them up; the current estimate is taken as is.
+#: If less than this share of the weights is present, rescaling would amplify noise: the current estimate is kept.
 _LEAST_SHARE = 0.05
-#: Estimates that an average by time looks back on; at 60 frames a second the last has 8 % of the first's weight.
-_MOST = 7
+#: Number of estimates in an average by time: at 60 Hz the last has 8 % of the first's weight.
+_LONGEST = 7
 
 
 def smooth(
     joints: Float[ndarray, "t 18 3"], weights: Float[ndarray, "k"] = DEFAULT_WEIGHTS
 ) -> Float64[ndarray, "t 18 3"]:
-    """Smoothed joints of a sequence, each frame from itself and the frames before it; ``weights[0]`` is the current's.
+    """Smoothed joints of a sequence: each frame is averaged with the frames before it; ``weights[0]`` is its own
+    weight.
 
     Raises:
         InputError: when the weights are not finite or do not sum to one.
     """
     _check(weights)
     current = joints.astype(np.float64)
-    seen = np.expand_dims(np.isfinite(current).all(-1), -1)
-    total, share = np.zeros(current.shape), np.zeros(seen.shape)
+    observed = np.expand_dims(np.isfinite(current).all(-1), -1)
+    total, share = np.zeros(current.shape), np.zeros(observed.shape)
     for lag, weight in enumerate(weights[: len(joints)]):
         earlier = slice(0, len(joints) - lag)
-        total[lag:] += np.where(seen[earlier], weight * current[earlier], 0)
-        share[lag:] += weight * seen[earlier]
+        total[lag:] += np.where(observed[earlier], weight * current[earlier], 0)
+        share[lag:] += weight * observed[earlier]
     usable = share > _LEAST_SHARE
     smoothed = np.where(usable, total / np.where(usable, share, 1), current)
-    return np.where(seen, smoothed, np.nan)
+    return np.where(observed, smoothed, np.nan)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,9 +58,9 @@ class AverageSettings:
     """The average's weights.
 
     Attributes:
-        time_constant_s: an estimate counts for exp(−age / this): the same lag in time at any frame rate, also where
-            frames are lost.
-        weights: of the current and the previous estimates instead, as in the paper; they belong to one frame rate.
+        time_constant_s: an estimate has the weight exp(−age / this): the same lag (seconds) at any frame rate, also
+            where frames are lost.
+        weights: if given, the weights of the current and the previous estimates, as in the paper, for one frame rate.
     """
 
     time_constant_s: float = 0.04
@@ -76,7 +78,7 @@ class Average(PoseFilter):
 
     def __init__(self, settings: AverageSettings = AverageSettings()) -> None:
         self._settings = settings
-        self._poses: collections.deque[Pose] = collections.deque(maxlen=len(settings.weights or range(_MOST)))
+        self._poses: collections.deque[Pose] = collections.deque(maxlen=len(settings.weights or range(_LONGEST)))
 
     @property
     def settings(self) -> AverageSettings:
@@ -85,10 +87,11 @@ class Average(PoseFilter):
 
     @property
     def latency_s(self) -> float:
-        """The mean age of what is averaged, at the rate of the last frames (30 a second before there are two)."""
-        stamps = [pose.timestamp_ns for pose in self._poses]
-        period_s = float(np.median(np.diff(stamps))) / 1e9 if len(stamps) > 1 else 1 / 30
-        ages = np.arange(len(self._settings.weights or range(_MOST))) * period_s
+        """The mean age of the averaged estimates (seconds) at the rate of the last frames; at 30 Hz before two
+        frames."""
+        timestamps_ns = [pose.timestamp_ns for pose in self._poses]
+        period_s = float(np.median(np.diff(timestamps_ns))) / 1e9 if len(timestamps_ns) > 1 else 1 / 30
+        ages = np.arange(len(self._settings.weights or range(_LONGEST))) * period_s
         return float(self._weights(ages) @ ages)
 
     def __call__(self, pose: Pose) -> Pose:
@@ -96,9 +99,9 @@ class Average(PoseFilter):
         if self._poses and pose.timestamp_ns < self._poses[-1].timestamp_ns:
             self.reset()
         self._poses.append(pose)
-        stamps = np.array([each.timestamp_ns for each in self._poses])
-        weights = self._weights((pose.timestamp_ns - stamps[::-1]) / 1e9)
-        joints = smooth(np.stack([each.joints for each in self._poses]), weights)[-1]
+        timestamps_ns = np.array([past.timestamp_ns for past in self._poses])
+        weights = self._weights((pose.timestamp_ns - timestamps_ns[::-1]) / 1e9)
+        joints = smooth(np.stack([past.joints for past in self._poses]), weights)[-1]
         return dataclasses.replace(pose, joints=joints)
 
     def reset(self) -> None:
@@ -120,12 +123,12 @@ def fit_weights(
     nonnegative: bool = True,
     folds: int = 5,
 ) -> Float64[ndarray, "k"]:
-    """Smoothing weights λ₀…λ_K from estimates of sequences and their truths, current first.
+    """Fit smoothing weights λ₀…λ_K, the current frame's first, to estimated sequences and their ground truth.
 
-    For each K, λ minimises the squared error of the smoothed joints subject to Σ λ = 1 (and λ ≥ 0 unless
-    ``nonnegative`` is False: negative weights extrapolate the motion, and overshoot). Because of the sum, that error is
-    λᵀ G λ with G the products of the lagged estimates' errors. K up to ``max_previous`` is chosen by cross-validation
-    over sequences, on the same frames for all K.
+    For each K, λ minimises the squared error of the smoothed joints subject to Σ λ = 1, and to λ ≥ 0 unless
+    ``nonnegative`` is False: negative weights extrapolate the motion, and overshoot. Because of the sum, that error is
+    λᵀ G λ, where G holds the products of the lagged estimates' errors. K up to ``max_previous`` is chosen by
+    cross-validation over sequences, on the same frames for all K.
 
     Raises:
         InputError: for fewer than two sequences, lengths that differ, or sequences without enough frames in a row.
@@ -149,11 +152,11 @@ def fit_weights(
     for fold in range(fold_of.max() + 1):
         held_out = products[fold_of == fold].sum(0)
         for previous in range(max_previous + 1):
-            own = slice(0, previous + 1)
-            weights = _best_weights((total - held_out)[own, own], nonnegative)
-            errors[previous] += weights @ held_out[own, own] @ weights
-    own = slice(0, int(errors.argmin()) + 1)
-    return _best_weights(total[own, own], nonnegative)
+            lags = slice(0, previous + 1)
+            weights = _solve_weights((total - held_out)[lags, lags], nonnegative)
+            errors[previous] += weights @ held_out[lags, lags] @ weights
+    lags = slice(0, int(errors.argmin()) + 1)
+    return _solve_weights(total[lags, lags], nonnegative)
 
 
 def _check(weights: ndarray) -> None:
@@ -162,7 +165,7 @@ def _check(weights: ndarray) -> None:
 
 
 def _lagged_errors(estimate: ndarray, truth: ndarray, max_previous: int) -> ndarray:
-    """(coordinates, K+1): error against the truth of now of the estimates 0…K frames ago, where all are known."""
+    """(coordinates, K+1): errors of the estimates 0…K frames ago against the present truth, where all are known."""
     if len(estimate) <= max_previous:
         return np.zeros((0, max_previous + 1))
     windows = np.lib.stride_tricks.sliding_window_view(estimate, max_previous + 1, axis=0)[..., ::-1]
@@ -170,10 +173,10 @@ def _lagged_errors(estimate: ndarray, truth: ndarray, max_previous: int) -> ndar
     return errors[np.isfinite(errors).all(1)]
 
 
-def _best_weights(gram: ndarray, nonnegative: bool) -> ndarray:
+def _solve_weights(gram: ndarray, nonnegative: bool) -> ndarray:
     """The λ with Σ λ = 1 that minimises λᵀ G λ."""
     size = len(gram)
-    # A trace of rounding keeps estimates that agree exactly solvable, and shares the weight between them.
+    # The small diagonal keeps the system solvable for estimates that agree exactly, and gives them equal weights.
     gram = gram / max(np.trace(gram), 1e-30) + 1e-12 * np.eye(size)
     if nonnegative:
         # Minimising μᵀ G μ + (Σ μ − 1)² gives the same direction: at the best length it is f / (1 + f), increasing in

@@ -1,7 +1,7 @@
-"""The fixed-lag smoother: every frame from the frames before it and from a few after it.
+"""The fixed-lag smoother: every frame is estimated from the frames before it and a few frames after it.
 
-A Rauch–Tung–Striebel pass runs back from the newest frame over the last n, each time one comes (Rauch, Tung and
-Striebel, AIAA Journal 1965). It costs n frames of delay, and needs no lag to be smooth.
+With each new frame a Rauch–Tung–Striebel pass runs backwards over the last n frames (Rauch, Tung and Striebel, AIAA
+Journal 1965). It delays poses by n frames, and does not lag behind the movement.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from numpy import ndarray
 
 from depthmocap.errors import InputError
 from depthmocap.frames import Pose
-from depthmocap.smooth.kalman import Belief, Kalman, KalmanSettings
+from depthmocap.smooth.kalman import Kalman, KalmanSettings, State
 from depthmocap.smooth.pose_filter import PoseFilter
 
 
 @dataclasses.dataclass(frozen=True)
 class FixedLagSettings:
-    """``frames`` to wait for, and the model that the frames are joined by."""
+    """The delay in frames, and the Kalman filter's settings."""
 
     frames: int = 4
     model: KalmanSettings = dataclasses.field(default_factory=KalmanSettings)
@@ -33,18 +33,18 @@ class FixedLagSettings:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Frame:
-    """What the Kalman filter knew when the frame came."""
+    """The Kalman filter's output for one frame."""
 
     measured: Pose
-    predicted: Belief
-    step: Float64[ndarray, "2 2"]
-    belief: Belief
-    began: Bool[ndarray, "18"]
-    shown: Bool[ndarray, "18"]
+    prediction: State
+    transition_matrix: Float64[ndarray, "2 2"]
+    state: State
+    started: Bool[ndarray, "18"]
+    reported: Bool[ndarray, "18"]
 
 
 class FixedLag(PoseFilter):
-    """Gives each pose ``settings.frames`` frames late, with its own timestamp."""
+    """Returns each pose ``settings.frames`` frames late, with its own timestamp."""
 
     def __init__(self, settings: FixedLagSettings = FixedLagSettings()) -> None:
         self._settings = settings
@@ -59,7 +59,7 @@ class FixedLag(PoseFilter):
 
     @property
     def latency_s(self) -> float:
-        """The frames waited for, at the rate of the last frames; of 30 a second before there are two."""
+        """The delay (seconds) at the rate of the last frames; at 30 Hz before there are two."""
         stamps = [frame.measured.timestamp_ns for frame in self._frames]
         period_s = float(np.median(np.diff(stamps))) / 1e9 if len(stamps) > 1 else 1 / 30
         return self.delay_frames * period_s
@@ -75,38 +75,40 @@ class FixedLag(PoseFilter):
             self.reset()
         kalman = self._kalman
         kalman.update(pose)
-        self._frames.append(_Frame(pose, kalman.predicted, kalman.step, kalman.belief, kalman.began, kalman.shown))
+        self._frames.append(
+            _Frame(pose, kalman.prediction, kalman.transition_matrix, kalman.state, kalman.started, kalman.reported)
+        )
         return self._smoothed()[0]
 
     def finish(self) -> list[Pose]:
         """See :class:`PoseFilter`."""
-        held = self._smoothed() if self._frames else []
-        if len(held) > self.delay_frames:
-            held = held[1:]  # the first was given back already
+        poses = self._smoothed() if self._frames else []
+        if len(poses) > self.delay_frames:
+            poses = poses[1:]  # the first was already returned
         self.reset()
-        return held
+        return poses
 
     def _smoothed(self) -> list[Pose]:
-        """The frames kept, oldest first."""
+        """The smoothed poses of the buffered frames, oldest first."""
         frames = list(self._frames)
-        belief = frames[-1].belief
-        beliefs = [belief]
+        state = frames[-1].state
+        states = [state]
         for earlier, later in zip(reversed(frames[:-1]), reversed(frames[1:]), strict=True):
-            belief = _back(earlier.belief, later, belief)
-            beliefs.append(belief)
+            state = _backward_step(earlier.state, later, state)
+            states.append(state)
         return [
-            self._kalman.estimate(frame.measured, belief, frame.shown)
-            for frame, belief in zip(frames, reversed(beliefs), strict=True)
+            self._kalman.estimate(frame.measured, state, frame.reported)
+            for frame, state in zip(frames, reversed(states), strict=True)
         ]
 
 
-def _back(earlier: Belief, later: _Frame, smoothed: Belief) -> Belief:
-    """What is believed of a frame, given what is now known of the next one."""
-    gain = earlier.covariance @ later.step.T @ _inverse(later.predicted.covariance)
-    mean = earlier.mean + gain @ (smoothed.mean - later.predicted.mean)
-    covariance = earlier.covariance + gain @ (smoothed.covariance - later.predicted.covariance) @ gain.swapaxes(1, 2)
-    linked = np.isfinite(mean).all((1, 2)) & ~later.began
-    return Belief(mean, covariance).where(linked, earlier)
+def _backward_step(earlier: State, later: _Frame, smoothed: State) -> State:
+    """A frame's state, smoothed by the next frame's smoothed state."""
+    gain = earlier.covariance @ later.transition_matrix.T @ _inverse(later.prediction.covariance)
+    mean = earlier.mean + gain @ (smoothed.mean - later.prediction.mean)
+    covariance = earlier.covariance + gain @ (smoothed.covariance - later.prediction.covariance) @ gain.swapaxes(1, 2)
+    continues = np.isfinite(mean).all((1, 2)) & ~later.started
+    return State(mean, covariance).where(continues, earlier)
 
 
 def _inverse(matrices: Float64[ndarray, "n 2 2"]) -> Float64[ndarray, "n 2 2"]:

@@ -1,15 +1,15 @@
 """A Kalman filter for every joint.
 
-A joint's velocity is an Ornstein–Uhlenbeck process: it lasts for a while (``memory_s``) and dies away, and chance adds
-to it. For frames that are near to each other this is the constant-velocity model; over a gap the prediction comes to
-rest instead of flying off. What chance adds grows with the present speed v, so that a joint at rest is held still and
-a fast one is followed. With a = exp(−t/τ) and q = 2 (still² + agility² v²) / τ:
+A joint's velocity is an Ornstein–Uhlenbeck process: it decays with the time constant τ (``memory_s``), and process
+noise adds to it. For consecutive frames this is the constant-velocity model; over a gap the prediction comes to rest.
+The process noise grows with the present speed v: a joint at rest is smoothed more, and a fast one is followed. With a =
+exp(−t/τ) and q = 2 (still² + agility² v²) / τ:
 
     position += τ (1 − a) velocity,  velocity ·= a
     Q = [ q τ² (t − 2τ(1 − a) + τ(1 − a²)/2),  q τ² (1 − a)² / 2 ;  ·,  q τ (1 − a²) / 2 ]
 
-The noise of a measurement follows from its confidence. One that is far outside of what is expected counts for less, in
-the measure that it is outside; when a joint stays there, it is believed.
+The measurement noise follows from the confidence. An outlier gets more noise, the more it deviates from the prediction.
+A joint that stays an outlier for ``restart_s`` starts anew where it is measured.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from numpy import ndarray
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
 from depthmocap.frames import Pose
-from depthmocap.smooth.pose_filter import FORGET_S, PoseFilter, seen_joints
+from depthmocap.smooth.pose_filter import MAX_GAP_S, PoseFilter, observed_joints
 
-#: Speed along an axis that a joint may have when it is first seen.
+#: Deviation of a new joint's speed along an axis (m/s).
 _START_MPS = 0.5
-#: Confidence of a joint that was not seen in the frame, but bridged: after half a second, the most that is bridged, two
-#: of five are still within 10 cm.
-BRIDGED = 0.3
+#: Confidence of a joint in a filled gap: after half a second, the longest gap filled, two in five are within 10 cm.
+BRIDGED_CONFIDENCE = 0.3
 
 
 @dataclasses.dataclass(frozen=True)
 class KalmanSettings:
-    """How joints move, and how well they are measured.
+    """Process and measurement noise, outliers and gap filling.
 
     Attributes:
-        still_mps: speed along an axis that chance gives a joint at rest.
-        agility: and, to one that moves, so many times its present speed.
-        memory_s: how long a velocity lasts.
-        sure_m, unsure_m: error of a measurement along an axis with confidence 1 and 0; between them geometrically.
-        outlier: deviations from what is expected beyond which a measurement counts for less.
-        restart_s: a joint that is so long beyond that is believed.
-        bridge_s: a joint that is missing is predicted for so long, with confidence ``BRIDGED``; 0 leaves gaps.
+        still_mps: process noise of the velocity along an axis at rest (m/s).
+        agility: process noise of the velocity of a moving joint, as a multiple of its speed.
+        memory_s: time constant of the velocity (seconds).
+        sure_m, unsure_m: deviation of a measurement along an axis (metres) with confidence 1 and 0; geometric between.
+        outlier: standard deviations from the prediction beyond which a measurement is an outlier.
+        restart_s: time after which a joint that stays an outlier starts anew (seconds).
+        bridge_s: longest gap of a joint that is filled by prediction, with confidence ``BRIDGED_CONFIDENCE`` (seconds);
+            0 leaves gaps.
     """
 
     still_mps: float = 0.05
@@ -62,44 +62,49 @@ class KalmanSettings:
         for name in ("agility", "restart_s"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"Kalman filter: {name} must be at least 0, got {getattr(self, name)}")
-        if not 0 <= self.bridge_s <= FORGET_S:
-            raise InputError(f"--bridge-s must be from 0 to {FORGET_S}, got {self.bridge_s}")
+        if not 0 <= self.bridge_s <= MAX_GAP_S:
+            raise InputError(f"--bridge-s must be from 0 to {MAX_GAP_S}, got {self.bridge_s}")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Belief:
-    """Position and velocity of every joint with their covariance, which is one for all axes; NaN where not known."""
+class State:
+    """Position and velocity of every joint, with their covariance, which is the same for all axes; NaN if unknown."""
 
     mean: Float64[ndarray, "18 2 3"]
     covariance: Float64[ndarray, "18 2 2"]
 
     @classmethod
-    def nothing(cls) -> Belief:
-        """Of no joint."""
+    def unknown(cls) -> State:
+        """The state of which no joint is known."""
         return cls(np.full((len(JOINTS), 2, 3), np.nan), np.full((len(JOINTS), 2, 2), np.nan))
 
-    def where(self, mask: Bool[ndarray, "18"], other: Belief) -> Belief:
-        """This one for the joints marked, the other for the rest."""
+    def where(self, mask: Bool[ndarray, "18"], other: State) -> State:
+        """This state for the joints in the mask, the other for the rest."""
         mask = mask[:, None, None]
-        return Belief(np.where(mask, self.mean, other.mean), np.where(mask, self.covariance, other.covariance))
+        return State(np.where(mask, self.mean, other.mean), np.where(mask, self.covariance, other.covariance))
 
 
 def transition(tau: float, period_s: float) -> tuple[Float64[ndarray, "2 2"], Float64[ndarray, "2 2"]]:
-    """How (position, velocity) with a memory tau (s) go on over a time (s), and the covariance of what chance adds at a
-    speed of 1 m/s."""
-    kept = np.exp(-period_s / tau)
-    position = 2 * tau * (period_s - 2 * tau * (1 - kept) + tau * (1 - kept**2) / 2)
-    both, velocity = tau * (1 - kept) ** 2, 1 - kept**2
-    return np.array([[1, tau * (1 - kept)], [0, kept]]), np.array([[position, both], [both, velocity]])
+    """Transition matrix of (position, velocity) over a time, and the process noise's covariance at 1 m/s.
+
+    Args:
+        tau: time constant of the velocity (seconds).
+        period_s: the time (seconds).
+    """
+    decay = np.exp(-period_s / tau)
+    position = 2 * tau * (period_s - 2 * tau * (1 - decay) + tau * (1 - decay**2) / 2)
+    cross, velocity = tau * (1 - decay) ** 2, 1 - decay**2
+    return np.array([[1, tau * (1 - decay)], [0, decay]]), np.array([[position, cross], [cross, velocity]])
 
 
 class Kalman(PoseFilter):
-    """The filter; a joint that was away for ``FORGET_S`` starts anew.
+    """The filter. A joint missing for ``MAX_GAP_S`` starts anew.
 
     Attributes:
-        predicted, step, belief: of the last frame: what was expected, the transition to it, and what is now believed.
-        began: the joints that started anew in it, which have no past.
-        shown: the joints that were seen in it, or are bridged.
+        prediction, state: of the last frame, before and after its measurements.
+        transition_matrix: of the step to the last frame.
+        started: joints that started anew in the last frame.
+        reported: joints that were observed in the last frame, or whose gap is filled.
     """
 
     def __init__(self, settings: KalmanSettings = KalmanSettings()) -> None:
@@ -113,66 +118,74 @@ class Kalman(PoseFilter):
 
     @property
     def latency_s(self) -> float:
-        """None by design: a velocity that lasts is followed without lag."""
+        """0: a constant velocity is followed without lag."""
         return 0.0
 
     def reset(self) -> None:
         """See :class:`PoseFilter`."""
-        self.belief = self.predicted = Belief.nothing()
-        self.step = np.eye(2)
-        self.began, self.shown = np.zeros((2, len(JOINTS)), bool)
+        self.state = self.prediction = State.unknown()
+        self.transition_matrix = np.eye(2)
+        self.started, self.reported = np.zeros((2, len(JOINTS)), bool)
         self._now_ns: int | None = None
-        self._seen_ns = np.zeros(len(JOINTS), np.int64)
-        self._fitting_ns = np.zeros(len(JOINTS), np.int64)
+        self._observed_ns = np.zeros(len(JOINTS), np.int64)
+        self._inlier_ns = np.zeros(len(JOINTS), np.int64)
 
     def __call__(self, pose: Pose) -> Pose:
         """See :class:`PoseFilter`."""
         self.update(pose)
-        return self.estimate(pose, self.belief, self.shown)
+        return self.estimate(pose, self.state, self.reported)
 
-    def estimate(self, measured: Pose, belief: Belief, shown: Bool[ndarray, "18"]) -> Pose:
-        """What is believed about the time of a measured pose; NaN but for the joints shown."""
-        joints = np.where(shown[:, None], belief.mean[:, 0], np.nan)
-        bridged = shown & ~seen_joints(measured)
-        return Pose(measured.timestamp_ns, joints, np.where(bridged, BRIDGED, measured.confidence))
+    def estimate(self, measured: Pose, state: State, reported: Bool[ndarray, "18"]) -> Pose:
+        """The pose of a state at the time of a measured pose; NaN except for the joints reported."""
+        joints = np.where(reported[:, None], state.mean[:, 0], np.nan)
+        bridged = reported & ~observed_joints(measured)
+        return Pose(measured.timestamp_ns, joints, np.where(bridged, BRIDGED_CONFIDENCE, measured.confidence))
 
     def update(self, pose: Pose) -> None:
-        """Take the measurements of a frame."""
-        settings, now_ns = self._settings, pose.timestamp_ns
+        """Predict the state to a frame's time and correct it by the frame's measurements."""
+        now_ns = pose.timestamp_ns
         if self._now_ns is not None and now_ns < self._now_ns:
             self.reset()
-        period_s = 0.0 if self._now_ns is None else (now_ns - self._now_ns) / 1e9
-        self.step, added = transition(settings.memory_s, period_s)
-        chance = settings.still_mps**2 + settings.agility**2 * (self.belief.mean[:, 1] ** 2).mean(1)
-        mean = self.step @ self.belief.mean
-        covariance = self.step @ self.belief.covariance @ self.step.T + chance[:, None, None] * added
-        away_s = (now_ns - self._seen_ns) / 1e9
-        lost = away_s > FORGET_S
-        self.predicted = Belief.nothing().where(lost, Belief(mean, covariance))
+        gap_s = (now_ns - self._observed_ns) / 1e9
+        self._predict(now_ns, gap_s > MAX_GAP_S)
+        self._correct(pose)
+        bridged = np.isfinite(self.state.mean).all((1, 2)) & (gap_s <= self._settings.bridge_s)
+        observed = observed_joints(pose)
+        self.reported = observed | bridged
+        self._observed_ns[observed] = self._inlier_ns[self.started] = self._now_ns = now_ns
 
-        seen, joints = seen_joints(pose), pose.joints.astype(np.float64)
-        sure = np.clip(pose.confidence.astype(np.float64), 0, 1)
-        noise = (settings.sure_m**sure * settings.unsure_m ** (1 - sure)) ** 2
-        known = np.isfinite(self.predicted.mean).all((1, 2))
-        surprise = joints - self.predicted.mean[:, 0]
-        expected = self.predicted.covariance[:, 0, 0] + noise
-        # Mean over the axes of the squared deviation, in units of what is expected.
-        excess = (surprise**2).mean(1) / expected / settings.outlier**2
-        outlying = seen & known & (excess > 1)
-        self._fitting_ns[~outlying] = now_ns
-        stuck = outlying & ((now_ns - self._fitting_ns) / 1e9 >= settings.restart_s)
-        self.began = seen & (~known | stuck)
-        start = Belief(
+    def _predict(self, now_ns: int, forgotten: Bool[ndarray, "18"]) -> None:
+        settings = self._settings
+        period_s = 0.0 if self._now_ns is None else (now_ns - self._now_ns) / 1e9
+        self.transition_matrix, process_noise = transition(settings.memory_s, period_s)
+        variance = settings.still_mps**2 + settings.agility**2 * (self.state.mean[:, 1] ** 2).mean(1)
+        mean = self.transition_matrix @ self.state.mean
+        covariance = self.transition_matrix @ self.state.covariance @ self.transition_matrix.T
+        covariance = covariance + variance[:, None, None] * process_noise
+        self.prediction = State.unknown().where(forgotten, State(mean, covariance))
+
+    def _correct(self, pose: Pose) -> None:
+        settings, now_ns = self._settings, pose.timestamp_ns
+        observed, joints = observed_joints(pose), pose.joints.astype(np.float64)
+        confidence = np.clip(pose.confidence.astype(np.float64), 0, 1)
+        noise = (settings.sure_m**confidence * settings.unsure_m ** (1 - confidence)) ** 2
+        predicted = np.isfinite(self.prediction.mean).all((1, 2))
+        innovation = joints - self.prediction.mean[:, 0]
+        innovation_variance = self.prediction.covariance[:, 0, 0] + noise
+        # Mean over the axes of the squared innovation, in units of its variance, relative to the outlier limit.
+        excess = (innovation**2).mean(1) / innovation_variance / settings.outlier**2
+        outlying = observed & predicted & (excess > 1)
+        self._inlier_ns[~outlying] = now_ns
+        restarting = outlying & ((now_ns - self._inlier_ns) / 1e9 >= settings.restart_s)
+        self.started = observed & (~predicted | restarting)
+        initial = State(
             np.stack([joints, np.zeros_like(joints)], 1),
             noise[:, None, None] * np.diag([1.0, 0.0]) + np.diag([0.0, _START_MPS**2]),
         )
-        doubted = noise * np.where(outlying, excess, 1)
-        gain = self.predicted.covariance[:, :, 0] / (self.predicted.covariance[:, 0, 0] + doubted)[:, None]
-        updated = Belief(
-            self.predicted.mean + gain[:, :, None] * surprise[:, None],
-            self.predicted.covariance - gain[:, :, None] * self.predicted.covariance[:, None, 0],
+        inflated_noise = noise * np.where(outlying, excess, 1)
+        gain = self.prediction.covariance[:, :, 0] / (self.prediction.covariance[:, 0, 0] + inflated_noise)[:, None]
+        updated = State(
+            self.prediction.mean + gain[:, :, None] * innovation[:, None],
+            self.prediction.covariance - gain[:, :, None] * self.prediction.covariance[:, None, 0],
         )
-        self.belief = start.where(self.began, updated.where(seen, self.predicted))
-        bridged = np.isfinite(self.belief.mean).all((1, 2)) & (away_s <= settings.bridge_s)
-        self.shown = seen | bridged
-        self._seen_ns[seen] = self._fitting_ns[self.began] = self._now_ns = now_ns
+        self.state = initial.where(self.started, updated.where(observed, self.prediction))

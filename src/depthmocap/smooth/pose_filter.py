@@ -1,4 +1,4 @@
-"""What every filter over time is: poses in, poses out, one for one."""
+"""The interface of the filters over time: one pose out for each pose in."""
 
 from __future__ import annotations
 
@@ -12,19 +12,18 @@ from numpy import ndarray
 
 from depthmocap.frames import Pose
 
-#: After a pause this long nothing of before is used.
-FORGET_S = 0.5
+#: After a gap this long (seconds) a filter forgets what was before.
+MAX_GAP_S = 0.5
 
 
 class PoseFilter(abc.ABC):
-    """Give it every pose of a stream, in order of time, NaN joints where there are none; timestamps may be irregular.
+    """Filters the poses of a stream, given in order of time; missing joints are NaN, and timestamps may be irregular.
 
-    A joint that is missing stays missing unless a filter says that it bridges. A timestamp before the last one begins
-    a new stream.
+    A missing joint stays missing unless the filter fills gaps. A timestamp before the last one starts a new stream.
 
     Attributes:
-        delay_frames: each pose given back is of so many frames ago; its timestamp tells which. Until there are so many,
-            it is of the first, and not final. :meth:`finish` gives the last ones.
+        delay_frames: each pose returned belongs to so many frames ago; its timestamp says which. Until there are so
+            many frames, it is the first frame's and not final. :meth:`finish` returns the last ones.
     """
 
     delay_frames: int = 0
@@ -32,8 +31,8 @@ class PoseFilter(abc.ABC):
     @property
     @abc.abstractmethod
     def latency_s(self) -> float:
-        """How late the result is (seconds): frames waited for at the rate seen so far, and the lag behind steady
-        movement of 1 m/s."""
+        """Latency of the result (seconds): the delay at the present frame rate, plus the lag behind a steady movement
+        of 1 m/s."""
 
     @property
     @abc.abstractmethod
@@ -42,25 +41,25 @@ class PoseFilter(abc.ABC):
 
     @abc.abstractmethod
     def __call__(self, pose: Pose) -> Pose:
-        """The filtered pose of ``delay_frames`` ago."""
+        """The filtered pose of ``delay_frames`` frames ago."""
 
     @abc.abstractmethod
     def reset(self) -> None:
-        """Forget the past: when another person enters, or another recording begins."""
+        """Forget the past, for another person or another recording."""
 
     def finish(self) -> list[Pose]:
-        """The last ``delay_frames`` poses at the end of a stream (all, if there were fewer); forgets the past."""
+        """The last ``delay_frames`` poses of a stream (all, if there were fewer). Forgets the past."""
         self.reset()
         return []
 
     def describe(self) -> dict[str, Any]:
-        """Name, settings and latency, for the record."""
+        """Name, settings and latency, for files of results."""
         return {
             "filter": type(self).__name__, **dataclasses.asdict(self.settings),
             "delay_frames": self.delay_frames, "latency_s": self.latency_s,
         }  # fmt: skip
 
 
-def seen_joints(pose: Pose) -> Bool[ndarray, "18"]:
-    """The joints that a pose has."""
+def observed_joints(pose: Pose) -> Bool[ndarray, "18"]:
+    """Mask of the joints that are not missing."""
     return np.asarray(np.isfinite(pose.joints).all(1))

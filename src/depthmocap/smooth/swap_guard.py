@@ -1,8 +1,8 @@
-"""Left and right do not change places between two frames: where an estimate says so, it is undone.
+"""The left–right swap guard: corrects estimates in which left and right are swapped from one frame to the next.
 
-The legs, and the arms, are compared with where they should be by now. When exchanging their sides fits that much
-better, they are exchanged. A start on the wrong side would be kept for ever so; therefore the time undone is counted,
-less the time that fits, and at ``limit_s`` the estimate is believed.
+The legs, and the arms, are compared with their predicted positions. If swapped sides fit much better, they are swapped.
+A wrong start would then last for ever. Therefore the guard counts the time with corrections, minus the time without,
+and at ``limit_s`` it accepts the estimate.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from numpy import ndarray
 from depthmocap.body.skeleton import JOINT_INDEX, JOINTS, MIRROR
 from depthmocap.errors import InputError
 from depthmocap.frames import Pose
-from depthmocap.smooth.pose_filter import FORGET_S, seen_joints
+from depthmocap.smooth.pose_filter import MAX_GAP_S, observed_joints
 
-#: Limbs whose sides change places together.
+#: Joints of the limbs that are swapped together.
 LIMBS: dict[str, tuple[str, ...]] = {"legs": ("Hip", "Knee", "Foot"), "arms": ("Shoulder", "Elbow", "Hand")}
-#: How long a velocity is believed to last.
+#: Time constant of the predicted velocity (seconds).
 _MEMORY_S = 0.1
 
 
@@ -35,13 +35,13 @@ _PAIRS = {limb: limb_joints(limb) for limb in LIMBS}
 
 
 @dataclasses.dataclass(frozen=True)
-class SideSettings:
-    """When sides count as exchanged.
+class SwapGuardSettings:
+    """When sides count as swapped.
 
     Attributes:
-        ratio: exchanged joints are off by less than this share of what they are off as they are,
-        gain_m: and by so much less on average.
-        limit_s: an exchange is believed when it was there for so long more than it was not.
+        ratio: swapped joints have less than this share of the mean residual of the joints as they are,
+        gain_m: and a mean residual smaller by at least this (metres).
+        limit_s: a swap is accepted when it has lasted this much longer than correct sides (seconds).
     """
 
     ratio: float = 0.5
@@ -53,63 +53,63 @@ class SideSettings:
             raise InputError(f"sides: the ratio must be between 0 and 1, gain and limit at least 0; got {self}")
 
 
-class SideGuard:
-    """Undoes exchanges of sides in a stream of poses."""
+class SwapGuard:
+    """Corrects swapped sides in a stream of poses."""
 
-    def __init__(self, settings: SideSettings | None = None) -> None:
-        self.settings = settings or SideSettings()
+    def __init__(self, settings: SwapGuardSettings | None = None) -> None:
+        self.settings = settings or SwapGuardSettings()
         self.reset()
 
     def reset(self) -> None:
         """Forget the past."""
         self._joints = np.full((len(JOINTS), 3), np.nan)
         self._velocity = np.zeros((len(JOINTS), 3))
-        self._seen_ns = np.zeros(len(JOINTS), np.int64)
+        self._observed_ns = np.zeros(len(JOINTS), np.int64)
         self._now_ns = 0
-        self._undone_s = dict.fromkeys(LIMBS, 0.0)
+        self._swapped_s = dict.fromkeys(LIMBS, 0.0)
 
     def __call__(self, pose: Pose) -> Pose:
-        """The pose with sides as they were."""
+        """The pose with its sides as in the frames before."""
         if pose.timestamp_ns < self._now_ns:
             self.reset()
-        since_s = (pose.timestamp_ns - self._now_ns) / 1e9
+        elapsed_s = (pose.timestamp_ns - self._now_ns) / 1e9
         self._now_ns = pose.timestamp_ns
-        away_s = (pose.timestamp_ns - self._seen_ns) / 1e9
-        self._joints[away_s > FORGET_S] = np.nan
-        lasting_s = _MEMORY_S * (1 - np.exp(-away_s / _MEMORY_S))
-        expected = self._joints + lasting_s[:, None] * self._velocity
+        gap_s = (pose.timestamp_ns - self._observed_ns) / 1e9
+        self._joints[gap_s > MAX_GAP_S] = np.nan
+        horizon_s = _MEMORY_S * (1 - np.exp(-gap_s / _MEMORY_S))
+        predicted = self._joints + horizon_s[:, None] * self._velocity
         joints, confidence = pose.joints.astype(np.float64), pose.confidence.copy()
         for limb, pair in _PAIRS.items():
-            if not self._changed_places(joints, expected, pair):
-                self._undone_s[limb] = max(self._undone_s[limb] - since_s, 0.0)
+            if not self._is_swapped(joints, predicted, pair):
+                self._swapped_s[limb] = max(self._swapped_s[limb] - elapsed_s, 0.0)
                 continue
-            self._undone_s[limb] += since_s
-            if self._undone_s[limb] > self.settings.limit_s:
-                self._undone_s[limb] = 0.0
+            self._swapped_s[limb] += elapsed_s
+            if self._swapped_s[limb] > self.settings.limit_s:
+                self._swapped_s[limb] = 0.0
                 self._joints[pair] = np.nan
             else:
                 order = np.where(pair, MIRROR, np.arange(len(JOINTS)))
                 joints, confidence = joints[order], confidence[order]
-        self._remember(dataclasses.replace(pose, joints=joints, confidence=confidence), away_s)
+        self._update(dataclasses.replace(pose, joints=joints, confidence=confidence), gap_s)
         return Pose(pose.timestamp_ns, joints, confidence)
 
-    def _changed_places(
-        self, joints: Float64[ndarray, "18 3"], expected: Float64[ndarray, "18 3"], pair: Bool[ndarray, "18"]
+    def _is_swapped(
+        self, joints: Float64[ndarray, "18 3"], predicted: Float64[ndarray, "18 3"], pair: Bool[ndarray, "18"]
     ) -> bool:
-        off = np.stack([joints - expected, joints[MIRROR] - expected])
-        both = pair & np.isfinite(off).all((0, 2))
-        both &= both[MIRROR]
-        if both.sum() < 4:  # two joints of each side
+        residuals = np.stack([joints - predicted, joints[MIRROR] - predicted])
+        compared = pair & np.isfinite(residuals).all((0, 2))
+        compared &= compared[MIRROR]
+        if compared.sum() < 4:  # fewer than two joints of each side
             return False
-        as_is, exchanged = np.linalg.norm(off[:, both], axis=2).mean(1)
-        return bool(exchanged < self.settings.ratio * as_is and as_is - exchanged > self.settings.gain_m)
+        as_is, swapped = np.linalg.norm(residuals[:, compared], axis=2).mean(1)
+        return bool(swapped < self.settings.ratio * as_is and as_is - swapped > self.settings.gain_m)
 
-    def _remember(self, pose: Pose, away_s: Float64[ndarray, "18"]) -> None:
-        seen = seen_joints(pose)
-        known = seen & np.isfinite(self._joints).all(1) & (away_s > 0)
-        measured = (pose.joints - self._joints) / np.maximum(away_s, 1e-9)[:, None]
-        share = 1 - np.exp(-away_s / _MEMORY_S)
-        self._velocity += np.where(known, share, 0)[:, None] * (np.where(known[:, None], measured, 0) - self._velocity)
+    def _update(self, pose: Pose, gap_s: Float64[ndarray, "18"]) -> None:
+        observed = observed_joints(pose)
+        known = observed & np.isfinite(self._joints).all(1) & (gap_s > 0)
+        velocity = (pose.joints - self._joints) / np.maximum(gap_s, 1e-9)[:, None]
+        weight = 1 - np.exp(-gap_s / _MEMORY_S)
+        self._velocity += np.where(known, weight, 0)[:, None] * (np.where(known[:, None], velocity, 0) - self._velocity)
         self._velocity[~np.isfinite(self._joints).all(1)] = 0
-        self._joints[seen] = pose.joints[seen]
-        self._seen_ns[seen] = pose.timestamp_ns
+        self._joints[observed] = pose.joints[observed]
+        self._observed_ns[observed] = pose.timestamp_ns
