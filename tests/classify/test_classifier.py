@@ -68,25 +68,25 @@ def test_the_papers_network_runs_by_its_file_alone(exported: tuple[PaperNet, Pat
     ]
     views = [View(CAMERA, depth) for depth, _ in pictures]
     masks = [labels > 0 for _, labels in pictures]
-    for view, mask, found in zip(views, masks, classifier.label_masks(views, masks), strict=True):
+    for view, mask, labelled in zip(views, masks, classifier.label_masks(views, masks), strict=True):
         window = make_paper_window(view.depth_m, mask, CAMERA)
         assert window is not None
         person = window.inputs[1] > 0
         with torch.no_grad():
             shares = network(torch.from_numpy(window.inputs[None])).softmax(1)[0].numpy()
         assert len(np.unique(shares.argmax(0)[person])) > 5
-        inside = found.in_window
+        inside = labelled.window_prediction
         assert inside is not None
         assert (inside.labels == shares.argmax(0))[person].mean() > 0.99
         assert np.median(np.abs(inside.confidence - shares.max(0))[person]) < 0.01
         assert not inside.labels[~person].any()
         # Back in the picture every pixel of the person has the label of its place in the window.
         labels, confidence = window.labels_to_image(inside.labels, inside.confidence, mask)
-        np.testing.assert_array_equal(found.found.labels, labels)
-        np.testing.assert_array_equal(found.found.confidence, confidence)
-        assert not found.found.labels[~mask].any()
-        assert (found.found.confidence[mask] > 0).mean() > 0.95
-        assert np.isnan(found.found.joints).all()  # which the paper's network does not tell
+        np.testing.assert_array_equal(labelled.prediction.labels, labels)
+        np.testing.assert_array_equal(labelled.prediction.confidence, confidence)
+        assert not labelled.prediction.labels[~mask].any()
+        assert (labelled.prediction.confidence[mask] > 0).mean() > 0.95
+        assert np.isnan(labelled.prediction.joints).all()  # which the paper's network does not tell
 
 
 def test_nobody(exported: tuple[PaperNet, Path]) -> None:
@@ -106,12 +106,12 @@ def test_a_camera_on_its_side_costs_nothing(default_body: Body) -> None:
         hung = upright.turned(quarters)
         assert hung.mask is not None and upright.mask is not None
         (expected,) = classifier.label_views([upright], [upright.mask], "z")
-        (found,) = classifier.label_views([hung], [hung.mask], "z")
-        assert found.labels.shape == hung.depth_m.shape
-        assert (np.rot90(found.labels, -quarters) == expected.labels)[upright.mask].mean() > 0.99
-        np.testing.assert_allclose(found.joints, expected.joints, atol=0.01)
+        (prediction,) = classifier.label_views([hung], [hung.mask], "z")
+        assert prediction.labels.shape == hung.depth_m.shape
+        assert (np.rot90(prediction.labels, -quarters) == expected.labels)[upright.mask].mean() > 0.99
+        np.testing.assert_allclose(prediction.joints, expected.joints, atol=0.01)
         (as_it_stands,) = classifier.label_views([hung], [hung.mask])
-        assert (as_it_stands.labels == found.labels)[hung.mask].mean() < 0.9
+        assert (as_it_stands.labels == prediction.labels)[hung.mask].mean() < 0.9
 
 
 def test_the_packaged_network_is_ours() -> None:

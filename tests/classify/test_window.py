@@ -206,17 +206,17 @@ def test_places_there_and_back(default_body: Body, distortion: tuple[float, floa
     assert window is not None
     rng = np.random.default_rng(0)
     points = rng.uniform(-0.6, 0.6, (50, 3))
-    places = window.places_from_world(points, camera)
-    np.testing.assert_allclose(window.places_to_world(places, camera), points, atol=1e-4)
+    places = window.positions_from_world(points, camera)
+    np.testing.assert_allclose(window.positions_to_world(places, camera), points, atol=1e-4)
     # A masked pixel is where its cell of the window says, at its depth.
     row, column = (int(np.median(each)) for each in np.nonzero(labels > 0))
     z = float(depth[row, column])
     ray = camera.rays[row, column]
     point = camera.world_from_camera[:3, :3] @ np.array([*ray * z, z]) + camera.world_from_camera[:3, 3]
-    right, down, behind = window.places_from_world(point[None], camera)[0]
+    right, down, behind = window.positions_from_world(point[None], camera)[0]
     height, width = window.inputs.shape[1:]
     i, j = int(np.floor(down / window.pixel_m + height / 2)), int(np.floor(right / window.pixel_m + width / 2))
     assert window.inputs[1, i, j] == 1
     assert window.inputs[0, i, j] * DEPTH_SCALE_M == pytest.approx(behind, abs=0.03)
     behind_camera = camera.world_from_camera[:3, 3] - camera.world_from_camera[:3, 2]
-    assert np.isnan(window.places_from_world(behind_camera[None], camera)[0, :2]).all()
+    assert np.isnan(window.positions_from_world(behind_camera[None], camera)[0, :2]).all()

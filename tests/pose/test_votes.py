@@ -180,7 +180,7 @@ def test_files_that_are_no_voting_network(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("shape", "spoil", "told"),
+    ("shape", "spoil", "message"),
     [
         (["n", "views", 43, 16], (b"", b""), "reads 43 parts, and this version has 61"),
         (["n"], (b"", b""), "reads 0 parts"),

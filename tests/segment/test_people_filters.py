@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from depthmocap.classify.classifier import Found
+from depthmocap.classify.classifier import ViewPrediction
 from depthmocap.frames import FrameSet, Pose, View
 from depthmocap.geometry import DepthCamera
 from depthmocap.offline.pipeline import Pipeline
@@ -31,7 +31,7 @@ class Anywhere:
     """Labels nothing, and takes all joints to be in one place."""
 
     def label_views(self, views, masks, *turned):
-        nothing = Found(np.zeros((3, 4), np.uint8), np.zeros((3, 4), np.float32), np.full((18, 4), np.nan))
+        nothing = ViewPrediction(np.zeros((3, 4), np.uint8), np.zeros((3, 4), np.float32), np.full((18, 4), np.nan))
         return [nothing for _ in masks]
 
     def __call__(self, cloud, up):

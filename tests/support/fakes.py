@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from depthmocap.classify.classifier import Found
+from depthmocap.classify.classifier import ViewPrediction
 from depthmocap.geometry import DepthCamera, Rig, look_at
 from depthmocap.offline.pipeline import Pipeline
 from depthmocap.segment.people_segmenter import PeopleSegmenter
@@ -14,7 +14,9 @@ class FakeClassifier:
     """Everything is region 1."""
 
     def label_views(self, views, masks, up="z"):
-        return [Found(mask.astype(np.uint8), mask.astype(np.float32), np.full((18, 4), np.nan)) for mask in masks]
+        return [
+            ViewPrediction(mask.astype(np.uint8), mask.astype(np.float32), np.full((18, 4), np.nan)) for mask in masks
+        ]
 
 
 class FakeEstimator:

@@ -122,7 +122,7 @@ def find_rig(recording: Recording, settings: CalibrateSettings, console: Console
     with console.status("reading the background and the weights"):
         classifier = Classifier(settings.weights)
         segmenter = PersonSegmenter.from_recording(recording, settings.segment)
-    if not classifier.tells_joints:
+    if not classifier.predicts_joints:
         raise InputError(f"{classifier.path} is a network that tells no joints, which a calibration is made of")
     total = sum(len(thinned(recording.stamps(name), settings.rate_hz)) for name in names)
     with Progress(console=console, transient=True) as progress:

@@ -83,13 +83,13 @@ class _Accuracy:
             return
         masks = [view.depth_m > 0 if view.mask is None else view.mask for view in views]
         for view, mask, result in zip(views, masks, self._classifier.label_masks(views, masks), strict=True):
-            yield LabelledView(view, *result.found)
-            if result.window is None or result.in_window is None or view.labels is None:
+            yield LabelledView(view, *result.prediction)
+            if result.window is None or result.window_prediction is None or view.labels is None:
                 continue
             truth = result.window.labels_from_image(view.labels, UNLABELLED)
             # All pixels of the person count. Those that the window leaves out as stray have no label, which is wrong.
             inside = result.window.labels_from_image((mask & (view.depth_m > 0)).astype(np.uint8)) > 0
-            self.window.add(truth[inside], result.in_window.labels[inside])
+            self.window.add(truth[inside], result.window_prediction.labels[inside])
 
     def numbers(self) -> dict[str, Any]:
         """All numbers, with the keys of the JSON file."""

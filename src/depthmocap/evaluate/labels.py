@@ -81,19 +81,19 @@ class LabelQuality:
         examples: list[LabelExample] = []
         for view, mask, result in zip(views, masks, classifier.label_masks(views, masks), strict=True):
             assert view.labels is not None
-            if result.window is None or result.in_window is None:
+            if result.window is None or result.window_prediction is None:
                 self.empty += 1
                 continue
-            examples.append((view.depth_m, mask, view.labels, result.found.labels))
+            examples.append((view.depth_m, mask, view.labels, result.prediction.labels))
             truth = result.window.labels_from_image(view.labels, UNLABELLED)
             # All of the person counts, also what the window leaves out as stray: it goes without a label.
             inside = result.window.labels_from_image((mask & (view.depth_m > 0)).astype(np.uint8)) > 0
             inside &= (truth >= 1) & (truth <= REGION_COUNT)
-            true, predicted = truth[inside], result.in_window.labels[inside]
+            true, predicted = truth[inside], result.window_prediction.labels[inside]
             self.accuracy.add(true, predicted)
             self.swaps.add(true, predicted)
-            self.borders.add(truth, result.in_window.labels, inside)
-            self.calibration.add(result.in_window.confidence[inside], true == predicted)
+            self.borders.add(truth, result.window_prediction.labels, inside)
+            self.calibration.add(result.window_prediction.confidence[inside], true == predicted)
         return examples
 
     def numbers(self) -> dict[str, Any]:

@@ -1,12 +1,13 @@
-"""Resampling between a sensor's picture and the network's window, both ways, nearest pixel."""
+"""Resampling between a depth image and the network's window, in both directions, by the nearest pixel."""
 
 import numba
 import numpy as np
 
 
 @numba.njit(cache=True, nogil=True)
-def supported(depth, mask, tolerance_m, tolerance_per_m, fewest, out):
-    """Masked pixels with at least ``fewest`` of their 8 masked neighbours near them in depth; ``out`` false before."""
+def mark_supported(depth, mask, tolerance_m, tolerance_per_m, fewest, out):
+    """Set ``out`` (False before) at masked pixels of which at least ``fewest`` of the 8 masked neighbours are near in
+    depth."""
     height, width = depth.shape
     for y in range(height):
         for x in range(width):
@@ -25,11 +26,11 @@ def supported(depth, mask, tolerance_m, tolerance_per_m, fewest, out):
 
 
 @numba.njit(cache=True, nogil=True)
-def gather(depth, mask, corner, left, top, step, centre_m, scale_m, out):
+def gather_depth(depth, mask, corner, left, top, step, centre_m, scale_m, out):
     """Fill ``out[0]`` with scaled relative depth and ``out[1]`` with the mask; both must be zero before.
 
-    ``depth`` and ``mask`` are a part of the picture, whose first pixel is at the row and column of ``corner``. Window
-    pixel (i, j) reads the picture at ``(top + (i + 0.5)·step, left + (j + 0.5)·step)``, rounded down.
+    ``depth`` and ``mask`` are a part of the image, whose first pixel is at the row and column of ``corner``. Window
+    pixel (i, j) reads the image at ``(top + (i + 0.5)·step, left + (j + 0.5)·step)``, rounded down.
     """
     height, width = depth.shape
     columns = np.floor(left + (np.arange(out.shape[2]) + 0.5) * step).astype(np.int64) - corner[1]
@@ -48,7 +49,7 @@ def gather(depth, mask, corner, left, top, step, centre_m, scale_m, out):
 
 @numba.njit(cache=True, nogil=True)
 def gather_labels(labels, left, top, step, out):
-    """Labels of the picture in the window, by the same rule; ``out`` keeps what it held outside the picture."""
+    """Labels of the image in the window, by the same rule; ``out`` keeps its values outside the image."""
     height, width = labels.shape
     for i in range(out.shape[0]):
         y = int(np.floor(top + (i + 0.5) * step))
@@ -61,8 +62,8 @@ def gather_labels(labels, left, top, step, out):
 
 
 @numba.njit(cache=True, nogil=True)
-def scatter(window_labels, window_confidence, mask, left, top, step, out_labels, out_confidence):
-    """Labels and confidences of the window at every masked pixel of the picture; both outputs zero before."""
+def scatter_labels(window_labels, window_confidence, mask, left, top, step, out_labels, out_confidence):
+    """Labels and confidences of the window at every masked pixel of the image; both outputs must be zero before."""
     height, width = mask.shape
     rows, columns = window_labels.shape
     first = max(int(np.floor(top)), 0)

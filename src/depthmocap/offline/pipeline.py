@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from numpy import ndarray
 
-from depthmocap.classify.classifier import Classifier, Found
+from depthmocap.classify.classifier import Classifier, ViewPrediction
 from depthmocap.frames import FrameSet, Pose
 from depthmocap.pose.cloud import LabelledCloud, merge_views
 from depthmocap.pose.estimators import JointEstimator
@@ -167,7 +167,7 @@ class Pipeline:
             tuple(people), final,
         )  # fmt: skip
 
-    def _merge(self, frames: FrameSet, found: list[Found]) -> LabelledCloud:
+    def _merge(self, frames: FrameSet, found: list[ViewPrediction]) -> LabelledCloud:
         return merge_views([LabelledView(view, *each) for view, each in zip(frames.views, found, strict=True)])
 
     def _gone(self, now_ns: int) -> dict[int, list[Pose]]:

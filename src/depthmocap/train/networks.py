@@ -63,7 +63,7 @@ class FastNet(nn.Module):
     ``forward`` gives the probabilities ``(m, 4, 44)`` of the classes in those 2×2 groups of pixels that show some of
     the person, window after window in row-major order: pixel ``k`` of a group is at its row ``k // 2``, column
     ``k % 2``. A person fills a quarter of a window, and nothing is made for the rest. And it gives the joints
-    ``(n, 18, 4)``: their places in the window (see ``Window.places_from_world``) and the logarithm of the error to
+    ``(n, 18, 4)``: their places in the window (see ``Window.positions_from_world``) and the logarithm of the error to
     expect, both of metres.
 
     For the joints every cell of 8×8 pixels that shows some of the person votes: it tells where it takes each joint to

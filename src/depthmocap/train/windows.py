@@ -55,7 +55,7 @@ _REACH_M = 3.0
 
 class LabelledWindow(NamedTuple):
     """What a network learns from: a window's inputs, its labels, 255 where they are not known, and the places of the
-    joints in it (see ``Window.places_from_world``), NaN where they are not."""
+    joints in it (see ``Window.positions_from_world``), NaN where they are not."""
 
     inputs: Float[ndarray, "c h w"]
     labels: UInt8[ndarray, "h w"]
@@ -64,7 +64,7 @@ class LabelledWindow(NamedTuple):
 
 def joint_places(window: Window, joints: Float[ndarray, "18 3"], camera: DepthCamera) -> Float[ndarray, "18 3"]:
     """Where to teach the joints, given in the world; NaN where they are behind the camera or far away."""
-    places = window.places_from_world(joints, camera)
+    places = window.positions_from_world(joints, camera)
     near = (np.abs(places) < _REACH_M).all(1, keepdims=True)
     return np.where(near, places, np.nan).astype(np.float32)
 
