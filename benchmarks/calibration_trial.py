@@ -118,7 +118,7 @@ def compare(path: Path, true_rig: Rig, found: Calibration) -> dict[str, Any]:
         ]).max()),
         "joints cm, true rig": _joint_error_cm(path, true_rig),
         "joints cm, found rig": _joint_error_cm(path, found.rig),
-        "late_ms": {name: 1e3 * late_s for name, late_s in found.late_s.items()},
+        "late_ms": {name: 1e3 * offset_s for name, offset_s in found.offset_s.items()},
         "floor": found.floor,
         "grade": found.grade,
     }  # fmt: skip
@@ -128,10 +128,10 @@ def _pair_error(true: Rig, found: Rig, a: int, b: int, middle: Float[ndarray, "3
     """How far a pair puts the person wrong (mm), and the turn between them (degrees)."""
     b_from_a = rigid_inverse(found.cameras[b].world_from_camera) @ found.cameras[a].world_from_camera
     true_b_from_a = true.cameras[b].camera_from_world @ true.cameras[a].world_from_camera
-    off = b_from_a @ rigid_inverse(true_b_from_a)
+    error = b_from_a @ rigid_inverse(true_b_from_a)
     person = transform_points(true.cameras[b].camera_from_world, middle)
-    moved = transform_points(off, person) - person
-    return 1e3 * float(np.linalg.norm(moved)), float(np.rad2deg(Rotation.from_matrix(off[:3, :3]).magnitude()))
+    displacement = transform_points(error, person) - person
+    return 1e3 * float(np.linalg.norm(displacement)), float(np.rad2deg(Rotation.from_matrix(error[:3, :3]).magnitude()))
 
 
 def _joint_error_cm(path: Path, rig: Rig) -> float:
@@ -144,8 +144,8 @@ def _joint_error_cm(path: Path, rig: Rig) -> float:
     joints, truth = (np.stack(each).reshape(-1, 3) for each in zip(*pairs, strict=True))
     known = np.isfinite(joints).all(1)
     true_from_found = align(truth[known], joints[known], np.ones(known.sum()))
-    off = transform_points(true_from_found, joints[known]) - truth[known]
-    return 100 * float(np.linalg.norm(off, axis=1).mean())
+    error = transform_points(true_from_found, joints[known]) - truth[known]
+    return 100 * float(np.linalg.norm(error, axis=1).mean())
 
 
 if __name__ == "__main__":

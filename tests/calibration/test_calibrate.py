@@ -41,9 +41,9 @@ def test_the_packaged_recording(tmp_path, capsys):
     assert found.names == true.names
     first = true.cameras[0].world_from_camera @ rigid_inverse(found.cameras[0].world_from_camera)
     for one, other in zip(found.cameras, true.cameras, strict=True):
-        moved, turned = errors(first @ one.world_from_camera, other.world_from_camera, (0.0, 0.0, 1.0))
-        assert moved < 0.02
-        assert turned < np.deg2rad(0.7)
+        error_m, error_rad = errors(first @ one.world_from_camera, other.world_from_camera, (0.0, 0.0, 1.0))
+        assert error_m < 0.02
+        assert error_rad < np.deg2rad(0.7)
         assert abs(one.world_from_camera[2, 3] - other.world_from_camera[2, 3]) < 0.02
         assert (one.fx, one.width, one.depth_unit_m) == (other.fx, other.width, other.depth_unit_m)
     numbers = json.loads((tmp_path / "numbers.json").read_text())

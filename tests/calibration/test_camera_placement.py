@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from walker import errors, stand, track
 
-from depthmocap.calibration.camera_placement import lacking, place, related
-from depthmocap.calibration.joint_tracks import Track
-from depthmocap.calibration.pairs import Pair
-from depthmocap.calibration.upright import stand_up
+from depthmocap.calibration.camera_placement import is_reliable, place_cameras, why_unreliable
+from depthmocap.calibration.joint_tracks import JointTrack
+from depthmocap.calibration.pairs import CameraPair
+from depthmocap.calibration.upright import find_upright
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera, rigid_inverse
 
@@ -15,34 +15,34 @@ TIMES_S = np.arange(0, 24, 0.125)
 AZIMUTHS = (0.0, 95.0, 190.0, 280.0)
 
 
-def nobody() -> Track:
-    return Track(np.empty(0), np.empty((0, 18, 3)), np.empty((0, 18)))
+def nobody() -> JointTrack:
+    return JointTrack(np.empty(0), np.empty((0, 18, 3)), np.empty((0, 18)))
 
 
 def relative_errors(placement, poses):
     """Of all placed cameras against the first: metres at the person, radians."""
     first = poses[placement.cameras[0]]
-    found = [
+    pose_errors = [
         errors(first @ pose, poses[camera], (0.0, 0.0, 1.0))
         for camera, pose in zip(placement.cameras, placement.poses, strict=True)
     ]
-    return np.max(found, axis=0)
+    return np.max(pose_errors, axis=0)
 
 
 def test_cameras_are_placed_whatever_their_clocks_and_rates():
     rng = np.random.default_rng(0)
     poses = [stand(azimuth) for azimuth in AZIMUTHS]
-    late_s = np.array([0.0, 0.04, -0.03, -0.01])
+    offset_s = np.array([0.0, 0.04, -0.03, -0.01])
     times = [TIMES_S + shift for shift in (0.0, 0.03, 0.05, 0.02)]
     times[3] = times[3][::2]
-    tracks = [track(p, t, rng, late_s=late) for p, t, late in zip(poses, times, late_s, strict=True)]
-    placement = place(tracks, rng)
+    tracks = [track(p, t, rng, offset_s=late) for p, t, late in zip(poses, times, offset_s, strict=True)]
+    placement = place_cameras(tracks, rng)
     assert placement.cameras == (0, 1, 2, 3)
-    moved, turned = relative_errors(placement, poses)
-    assert moved < 0.006
-    assert turned < np.deg2rad(0.3)
-    np.testing.assert_allclose(placement.late_s, late_s - late_s.mean(), atol=0.006)
-    assert (placement.late_sigma_s < 0.005).all()
+    error_m, error_rad = relative_errors(placement, poses)
+    assert error_m < 0.006
+    assert error_rad < np.deg2rad(0.3)
+    np.testing.assert_allclose(placement.offset_s, offset_s - offset_s.mean(), atol=0.006)
+    assert (placement.offset_sigma_s < 0.005).all()
 
 
 def test_a_chain_of_cameras_and_one_that_sees_nobody():
@@ -50,9 +50,9 @@ def test_a_chain_of_cameras_and_one_that_sees_nobody():
     poses = [stand(azimuth) for azimuth in AZIMUTHS]
     tracks = [track(pose, TIMES_S, rng) for pose in poses]
     # The first sees the first two thirds, the third the last two: they share little with each other.
-    first = Track(TIMES_S[:110], tracks[0].joints[:110], tracks[0].sigma_m[:110])
-    third = Track(TIMES_S[106:], tracks[2].joints[106:], tracks[2].sigma_m[106:])
-    placement = place([first, tracks[1], third, nobody()], rng)
+    first = JointTrack(TIMES_S[:110], tracks[0].joints[:110], tracks[0].sigma_m[:110])
+    third = JointTrack(TIMES_S[106:], tracks[2].joints[106:], tracks[2].sigma_m[106:])
+    placement = place_cameras([first, tracks[1], third, nobody()], rng)
     assert placement.cameras == (0, 1, 2)
     assert relative_errors(placement, poses)[0] < 0.012
     assert set(placement.pairs) == {(0, 1), (0, 2), (1, 2)}
@@ -61,8 +61,8 @@ def test_a_chain_of_cameras_and_one_that_sees_nobody():
 def test_two_groups_give_the_larger_one():
     rng = np.random.default_rng(2)
     tracks = [track(stand(azimuth), TIMES_S, rng) for azimuth in AZIMUTHS]
-    alone = Track(tracks[0].times_s + 100, tracks[0].joints, tracks[0].sigma_m)
-    assert place([alone, *tracks[1:]], rng).cameras == (1, 2, 3)
+    alone = JointTrack(tracks[0].times_s + 100, tracks[0].joints, tracks[0].sigma_m)
+    assert place_cameras([alone, *tracks[1:]], rng).cameras == (1, 2, 3)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.6])
@@ -72,10 +72,10 @@ def test_up_and_floor_by_the_feet_where_no_floor_is_seen(tilt):
     roll = np.eye(4)
     roll[:2, :2] = [[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]]
     poses = [pose @ roll for pose in poses]  # cameras may hang askew
-    placement = place([track(pose, TIMES_S, rng) for pose in poses], rng)
+    placement = place_cameras([track(pose, TIMES_S, rng) for pose in poses], rng)
     dark = [View(DepthCamera("dark", 32, 24, 30.0, 30.0, 16.0, 12.0), np.zeros((24, 32), np.float32)) for _ in poses]
-    upright = stand_up(placement.poses, placement.skeletons, dark)
-    assert upright.told_by == "feet"
+    upright = find_upright(placement.poses, placement.skeletons, dark)
+    assert upright.source == "feet"
     for pose, true in zip(upright.world_from_old @ placement.poses, poses, strict=True):
         assert np.arccos(pose[2, :3] @ true[2, :3]) < np.deg2rad(1.0)
         assert abs(pose[2, 3] - true[2, 3]) < 0.04
@@ -86,10 +86,10 @@ def test_up_and_floor_by_the_feet_where_no_floor_is_seen(tilt):
 
 
 @pytest.mark.parametrize(
-    ("agreed", "shared", "told"),
+    ("agreed", "shared", "message"),
     [(5, 10, "only 5 poses agree, where 12 or more"), (34, 200, "only 34 of 200 poses agree, where 30% or more")],
 )
-def test_what_a_pair_lacks_is_what_failed(agreed, shared, told):
-    pair = Pair(np.eye(4), shared, agreed, 0.03)
-    assert not related(pair)
-    assert lacking(pair) == f"{told} are needed"
+def test_what_a_pair_lacks_is_what_failed(agreed, shared, message):
+    pair = CameraPair(np.eye(4), shared, agreed, 0.03)
+    assert not is_reliable(pair)
+    assert why_unreliable(pair) == f"{message} are needed"

@@ -1,4 +1,4 @@
-"""A stick figure that walks in circles and waves its arms, and cameras that tell its joints with errors."""
+"""A stick figure that walks in circles and waves its arms, and cameras that estimate its joints with errors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINTS
-from depthmocap.calibration.joint_tracks import Track
+from depthmocap.calibration.joint_tracks import JointTrack
 from depthmocap.geometry import look_at, rigid_inverse, transform_points
 
 _STICKS = {
@@ -45,18 +45,18 @@ def track(
     times_s: Float[ndarray, " n"],
     rng: np.random.Generator,
     noise_m: float = 0.03,
-    late_s: float = 0.0,
-) -> Track:
-    """What a camera tells of the figure; it looks ``late_s`` after its timestamps."""
-    joints = transform_points(rigid_inverse(pose), walk(times_s + late_s))
+    offset_s: float = 0.0,
+) -> JointTrack:
+    """The figure as a camera estimates it; the camera exposes ``offset_s`` after its timestamps."""
+    joints = transform_points(rigid_inverse(pose), walk(times_s + offset_s))
     sigma = np.full(joints.shape[:2], np.sqrt(3) * noise_m)
-    return Track(times_s, joints + rng.normal(0, noise_m, joints.shape), sigma)
+    return JointTrack(times_s, joints + rng.normal(0, noise_m, joints.shape), sigma)
 
 
 def errors(
-    found: Float[ndarray, "4 4"], true: Float[ndarray, "4 4"], place: tuple[float, float, float]
+    estimated: Float[ndarray, "4 4"], true: Float[ndarray, "4 4"], point: tuple[float, float, float]
 ) -> tuple[float, float]:
-    """How far a pose puts a place wrong (metres), and the turn (radians)."""
-    off = found @ rigid_inverse(true)
-    moved = np.linalg.norm(transform_points(off, np.array(place)) - place)
-    return float(moved), float(np.arccos(np.clip((np.trace(off[:3, :3]) - 1) / 2, -1, 1)))
+    """A pose's errors: of the position of a point (metres), and of the rotation (radians)."""
+    difference = estimated @ rigid_inverse(true)
+    distance = np.linalg.norm(transform_points(difference, np.array(point)) - point)
+    return float(distance), float(np.arccos(np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1)))

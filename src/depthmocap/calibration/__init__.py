@@ -1,1 +1,1 @@
-"""Where depth cameras stand to each other, found from a person who moves in front of them."""
+"""Calibration: the extrinsics of depth cameras, from a person who moves in front of them."""

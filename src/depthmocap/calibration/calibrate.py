@@ -1,4 +1,4 @@
-"""``depthmocap calibrate``: where the cameras of a recording stand, from a person who walks about in it."""
+"""``depthmocap calibrate``: the extrinsics of the cameras of a recording, from a person who walks about in it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from rich.table import Table
 
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.calibration.calibration_page import draw_clouds, pair_table, write_page
-from depthmocap.calibration.camera_placement import Placement, lacking, mean_joints, place
-from depthmocap.calibration.observations import Observation, observe, thinned
+from depthmocap.calibration.camera_placement import Placement, mean_joints, place_cameras, why_unreliable
+from depthmocap.calibration.observations import Observation, observe, subsample_timestamps
 from depthmocap.calibration.refine import refine
-from depthmocap.calibration.upright import Upright, stand_up
-from depthmocap.calibration.verdict import PairVerdict, judge_pairs, warnings_of
+from depthmocap.calibration.upright import Upright, find_upright
+from depthmocap.calibration.verdict import PairVerdict, find_warnings, judge_pairs
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import owns
@@ -44,16 +44,15 @@ _FLOORS = {
 
 @dataclasses.dataclass(frozen=True)
 class CalibrateSettings:
-    """Cameras placed by a person who walks about in front of them for 20 to 60 s and moves the arms.
+    """Estimate the extrinsics from a person who walks about in front of the cameras for 20 to 60 s and moves the arms.
 
     Attributes:
-        recording: a recording folder or an MCAP file; where its rig says that cameras stand does not matter, but for
-            the picture "before".
+        recording: a recording folder or an MCAP file; the extrinsics in its rig matter only for the picture "before".
         out: the rig.json to write.
         report: the page with pictures; by default beside ``out``, with its name and the ending .html.
         json: file for all numbers.
         segment: "auto" finds the person in a static scene; "none" takes every valid pixel.
-        rate_hz: frames of a camera that are looked at, a second, at most.
+        rate_hz: most frames per second of a camera that are used.
         weights: a classifier.onnx of your own.
     """
 
@@ -81,17 +80,17 @@ class CalibrateSettings:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Calibration:
-    """What was found.
+    """The result of a calibration.
 
     Attributes:
-        rig: the cameras that could be placed. Z up, the floor at z = 0, the origin under where the person was.
-        floor: what told up and the floor: "floor", "feet" or "body" (see ``Upright``).
-        unplaced: why others could not be placed, by name.
-        pairs: what is known of any two placed cameras.
-        warnings: what would make it better, one line each.
-        late_s: how much later than its timestamps say each placed camera looks, against the mean of all.
-        way: places of the pelvis.
-        clouds: points of the empty scene by placed camera, in the camera's frame.
+        rig: the cameras that could be placed. Z up, the floor at z = 0, the origin below the person's median position.
+        floor: the source of the up direction and the floor: "floor", "feet" or "body" (see ``Upright``).
+        unplaced: why each of the other cameras could not be placed, by name.
+        pairs: quality of each pair of placed cameras.
+        warnings: what would improve the calibration, one line each.
+        offset_s: how much later than its timestamps say each placed camera exposes (seconds; the mean is 0).
+        trajectory: positions of the pelvis in the world (metres).
+        clouds: points of the empty scene by placed camera, in the camera's frame (metres).
     """
 
     rig: Rig
@@ -99,18 +98,18 @@ class Calibration:
     unplaced: dict[str, str]
     pairs: list[PairVerdict]
     warnings: list[str]
-    late_s: dict[str, float]
-    way: Float[ndarray, "n 3"]
+    offset_s: dict[str, float]
+    trajectory: Float[ndarray, "n 3"]
     clouds: dict[str, Float[ndarray, "_ 3"]]
 
     @property
     def grade(self) -> str:
-        """That of the worst pair."""
+        """The grade of the worst pair."""
         return max((pair.grade for pair in self.pairs), key=_GRADES.index)
 
 
 def find_rig(recording: Recording, settings: CalibrateSettings, console: Console) -> Calibration:
-    """Find where the cameras of a recording stand.
+    """Estimate the extrinsics of the cameras of a recording.
 
     Raises:
         InputError: when the recording has fewer than two cameras, shows nobody, or no two cameras see the same person
@@ -124,74 +123,84 @@ def find_rig(recording: Recording, settings: CalibrateSettings, console: Console
         segmenter = PersonSegmenter.from_recording(recording, settings.segment)
     if not classifier.predicts_joints:
         raise InputError(f"{classifier.path} is a network that tells no joints, which a calibration is made of")
-    total = sum(len(thinned(recording.stamps(name), settings.rate_hz)) for name in names)
+    total = sum(len(subsample_timestamps(recording.stamps(name), settings.rate_hz)) for name in names)
     with Progress(console=console, transient=True) as progress:
         task = progress.add_task("looking", total=total)
-        seen = observe(recording, classifier, segmenter, settings.rate_hz, lambda: progress.advance(task))
+        observations = observe(recording, classifier, segmenter, settings.rate_hz, lambda: progress.advance(task))
     rng = np.random.default_rng(settings.seed)
     with console.status("placing the cameras"):
-        return _solve(recording, seen, segmenter.problems, rng)
+        return _solve(recording, observations, segmenter.problems, rng)
 
 
-def _solve(recording: Recording, seen: list[Observation], problems: list[str], rng: np.random.Generator) -> Calibration:
+def _solve(
+    recording: Recording, observations: list[Observation], problems: list[str], rng: np.random.Generator
+) -> Calibration:
     names = recording.rig.names
-    lookers = [each for each in seen if len(each.track.times_s) > 1]
-    if not lookers:
+    if not any(len(observation.track.times_s) > 1 for observation in observations):
         hint = joined(problems) or "one person must walk about in view; try --segment none where there is no room"
         raise InputError(
-            f"{recording.path}: no person was found in any of {sum(s.frames for s in seen)} frames: {hint}"
+            f"{recording.path}: no person was found in any of {sum(s.frames for s in observations)} frames: {hint}"
         )
-    placement = place([each.track for each in seen], rng)
+    placement = place_cameras([observation.track for observation in observations], rng)
     if len(placement.cameras) < 2:
-        raise InputError(f"{recording.path}: {_nothing_shared(names, seen, placement)}")
-    chosen = [seen[camera] for camera in placement.cameras]
-    own = tuple(each.camera.name for each in chosen)
-    refined = refine(placement, chosen, rng)
-    upright = stand_up(refined.poses, placement.skeletons, [View(each.camera, each.empty_m) for each in chosen])
-    rig = _rig(chosen, refined.poses, upright)
-    pairs = judge_pairs(own, placement, refined)
-    warnings = [*warnings_of(own, placement, pairs), *problems, *recording.problems]
-    if not refined.kept:
+        raise InputError(f"{recording.path}: {_no_pair_message(names, observations, placement)}")
+    placed = [observations[camera] for camera in placement.cameras]
+    placed_names = tuple(observation.camera.name for observation in placed)
+    refined = refine(placement, placed, rng)
+    empty_views = [View(observation.camera, observation.empty_m) for observation in placed]
+    upright = find_upright(refined.poses, placement.skeletons, empty_views)
+    rig = _rig(placed, refined.poses, upright)
+    pairs = judge_pairs(placed_names, placement, refined)
+    warnings = [*find_warnings(placed_names, placement, pairs), *problems, *recording.problems]
+    if not refined.surfaces_used:
         warnings.append("no surface was seen well by two cameras, or it did not fit the skeletons, which decide alone")
     hips = mean_joints(refined.poses, placement.skeletons)[:, JOINT_INDEX["Hip"]]
-    way = transform_points(upright.world_from_old, hips[np.isfinite(hips).all(1)])
+    trajectory = transform_points(upright.world_from_old, hips[np.isfinite(hips).all(1)])
     unplaced = {
-        name: _why(index, names, seen, placement) for index, name in enumerate(names) if index not in placement.cameras
+        name: _why_unplaced(index, names, observations, placement)
+        for index, name in enumerate(names)
+        if index not in placement.cameras
     }
-    clouds = {each.camera.name: each.empty_surface().points for each in chosen}
-    late_s = dict(zip(own, placement.late_s.tolist(), strict=True))
-    return Calibration(rig, upright.told_by, unplaced, pairs, warnings, late_s, way, clouds)
+    clouds = {observation.camera.name: observation.empty_surface().points for observation in placed}
+    offset_s = dict(zip(placed_names, placement.offset_s.tolist(), strict=True))
+    return Calibration(rig, upright.source, unplaced, pairs, warnings, offset_s, trajectory, clouds)
 
 
-def _rig(seen: list[Observation], poses: Float[ndarray, "k 4 4"], upright: Upright) -> Rig:
-    placed = upright.world_from_old @ poses
+def _rig(observations: list[Observation], poses: Float[ndarray, "k 4 4"], upright: Upright) -> Rig:
+    cameras = [observation.camera for observation in observations]
+    world_poses = upright.world_from_old @ poses
     return Rig(
-        tuple(dataclasses.replace(each.camera, world_from_camera=pose) for each, pose in zip(seen, placed, strict=True))
+        tuple(
+            dataclasses.replace(camera, world_from_camera=pose)
+            for camera, pose in zip(cameras, world_poses, strict=True)
+        )
     )
 
 
-def _nothing_shared(names: tuple[str, ...], seen: list[Observation], placement: Placement) -> str:
-    counts = ", ".join(f"{name} in {len(each.track.times_s)}" for name, each in zip(names, seen, strict=True))
+def _no_pair_message(names: tuple[str, ...], observations: list[Observation], placement: Placement) -> str:
+    counts = ", ".join(
+        f"{name} in {len(observation.track.times_s)}" for name, observation in zip(names, observations, strict=True)
+    )
     best = max(placement.pairs.items(), key=lambda item: item[1].agreed, default=None)
-    found = f"; of {cameras([names[each] for each in best[0]])} {lacking(best[1])}" if best else ""
+    lack = f"; of {cameras([names[index] for index in best[0]])} {why_unreliable(best[1])}" if best else ""
     return (
-        f"no two cameras see the same person often enough: somebody is found by {counts} frames{found}; walk where two "
+        f"no two cameras see the same person often enough: somebody is found by {counts} frames{lack}; walk where two "
         "cameras see the whole body, for 20 s or more, with nobody else in view"
     )
 
 
-def _why(index: int, names: tuple[str, ...], seen: list[Observation], placement: Placement) -> str:
-    """Why a camera could not be placed, and the way out."""
-    if not seen[index].frames:
+def _why_unplaced(index: int, names: tuple[str, ...], observations: list[Observation], placement: Placement) -> str:
+    """Why a camera could not be placed."""
+    if not observations[index].frames:
         return "it has no frames"
-    if len(seen[index].track.times_s) < 2:
-        return f"it never sees a person in {seen[index].frames} frames"
-    shared = {pair[pair[0] == index]: found for pair, found in placement.pairs.items() if index in pair}
-    own = {names[other]: found for other, found in shared.items() if other in placement.cameras}
-    best = max(own, key=lambda other: own[other].agreed, default="")
+    if len(observations[index].track.times_s) < 2:
+        return f"it never sees a person in {observations[index].frames} frames"
+    partners = {indices[indices[0] == index]: pair for indices, pair in placement.pairs.items() if index in indices}
+    placed = {names[other]: pair for other, pair in partners.items() if other in placement.cameras}
+    best = max(placed, key=lambda other: placed[other].agreed, default="")
     if not best:
         return "it never sees the person at the same time as one that is"
-    return f"with {best!r} {lacking(own[best])}"
+    return f"with {best!r} {why_unreliable(placed[best])}"
 
 
 @owns(files=("out", "page", "json"))
@@ -207,65 +216,69 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
         {"--out": settings.out, "--report": settings.page, "--json": settings.json},
         {"the recording": settings.recording, "the file of --weights": settings.weights},
     )
-    found = find_rig(recording, settings, console)
+    calibration = find_rig(recording, settings, console)
     for path in (settings.page, settings.json):  # of another rig
         if path is not None:
             path.unlink(missing_ok=True)
-    save_rig(found.rig, settings.out)
-    headline = _headline(found, len(recording.rig.cameras))
+    save_rig(calibration.rig, settings.out)
+    headline = _headline(calibration, len(recording.rig.cameras))
     notes = [
-        _FLOORS[found.floor],
-        *(f"Camera {name!r} is not in the rig: {why}." for name, why in found.unplaced.items()),
-        *(f"Noticed: {warning}." for warning in found.warnings),
+        _FLOORS[calibration.floor],
+        *(f"Camera {name!r} is not in the rig: {reason}." for name, reason in calibration.unplaced.items()),
+        *(f"Noticed: {warning}." for warning in calibration.warnings),
     ]
-    before = _placed({name: recording.rig[name].world_from_camera for name in found.rig.names}, recording.up)
-    after = {camera.name: camera.world_from_camera for camera in found.rig.cameras}
-    pictures = _picture(found, before, None), _picture(found, after, found.way)
-    write_page(settings.page, headline, notes, found.pairs, pictures)
+    before = _in_z_up_world(
+        {name: recording.rig[name].world_from_camera for name in calibration.rig.names}, recording.up
+    )
+    after = {camera.name: camera.world_from_camera for camera in calibration.rig.cameras}
+    pictures = _draw(calibration, before, None), _draw(calibration, after, calibration.trajectory)
+    write_page(settings.page, headline, notes, calibration.pairs, pictures)
     if settings.json is not None:
-        write_json(settings.json, _numbers(found))
-    _tell(found, [headline, *notes], console)
+        write_json(settings.json, _as_json(calibration))
+    _print_result(calibration, [headline, *notes], console)
     console.print(
         f"{settings.out} has the cameras, {settings.page} the pictures; run, live and record take it by --rig."
     )
-    return found
+    return calibration
 
 
-def _headline(found: Calibration, cameras: int) -> str:
-    worst_mm = max(pair.uncertainty_mm for pair in found.pairs)
-    worst_deg = max(pair.uncertainty_deg for pair in found.pairs)
+def _headline(calibration: Calibration, cameras: int) -> str:
+    worst_mm = max(pair.uncertainty_mm for pair in calibration.pairs)
+    worst_deg = max(pair.uncertainty_deg for pair in calibration.pairs)
     return (
-        f"{found.grade.capitalize()}: {len(found.rig.cameras)} of {cameras} cameras are placed, any two of them to "
-        f"{worst_mm:.1f} mm where the person was and {worst_deg:.2f}° or better."
+        f"{calibration.grade.capitalize()}: {len(calibration.rig.cameras)} of {cameras} cameras are placed, any two of "
+        f"them to {worst_mm:.1f} mm where the person was and {worst_deg:.2f}° or better."
     )
 
 
-def _placed(poses: dict[str, Float[ndarray, "4 4"]], up: str) -> dict[str, Float[ndarray, "4 4"]]:
+def _in_z_up_world(poses: dict[str, Float[ndarray, "4 4"]], up: str) -> dict[str, Float[ndarray, "4 4"]]:
     """Poses in the Z-up world."""
     upright = np.eye(4)
     upright[:3, :3] = z_up_from(up)
     return {name: upright @ pose for name, pose in poses.items()}
 
 
-def _picture(found: Calibration, poses: dict[str, Float[ndarray, "4 4"]], way: Float[ndarray, "n 3"] | None) -> bytes:
-    clouds = {name: transform_points(poses[name], points) for name, points in found.clouds.items()}
-    return draw_clouds(clouds, list(poses.values()), way)
+def _draw(
+    calibration: Calibration, poses: dict[str, Float[ndarray, "4 4"]], trajectory: Float[ndarray, "n 3"] | None
+) -> bytes:
+    clouds = {name: transform_points(poses[name], points) for name, points in calibration.clouds.items()}
+    return draw_clouds(clouds, list(poses.values()), trajectory)
 
 
-def _numbers(found: Calibration) -> dict[str, Any]:
+def _as_json(calibration: Calibration) -> dict[str, Any]:
     return {
-        "verdict": found.grade,
-        "floor": found.floor,
-        "cameras": list(found.rig.names),
-        "unplaced": found.unplaced,
-        "pairs": [{**dataclasses.asdict(pair), "verdict": pair.grade} for pair in found.pairs],
-        "late_ms": {name: 1e3 * late_s for name, late_s in found.late_s.items()},
-        "warnings": found.warnings,
+        "verdict": calibration.grade,
+        "floor": calibration.floor,
+        "cameras": list(calibration.rig.names),
+        "unplaced": calibration.unplaced,
+        "pairs": [{**dataclasses.asdict(pair), "verdict": pair.grade} for pair in calibration.pairs],
+        "late_ms": {name: 1e3 * offset_s for name, offset_s in calibration.offset_s.items()},
+        "warnings": calibration.warnings,
     }
 
 
-def _tell(found: Calibration, lines: list[str], console: Console) -> None:
-    numbers = pair_table(found.pairs)
+def _print_result(calibration: Calibration, lines: list[str], console: Console) -> None:
+    numbers = pair_table(calibration.pairs)
     table = Table(box=None, padding=(0, 1, 0, 0))
     for heading in numbers.header:
         table.add_column(heading, justify="left" if heading in ("cameras", "verdict") else "right")

@@ -1,4 +1,4 @@
-"""The page that shows whether a calibration is right: clouds before and after, and the numbers of every pair."""
+"""The page of a calibration: point clouds before and after, and the numbers of every pair."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from depthmocap.report.page import Cell, ReportFigure, ReportSection, ReportTabl
 _DPI = 200
 #: Points of a camera in a picture.
 _POINTS = 5000
-#: Share of all points that a picture leaves room for.
-_WITHIN = (0.5, 99.5)
+#: Percentiles of the points that the axes cover.
+_PERCENTILES = (0.5, 99.5)
 
 
 def pair_table(pairs: Sequence[PairVerdict]) -> ReportTable:
-    """The numbers of every pair."""
+    """The table of all pairs."""
     rows: list[list[Cell]] = [
         [
             " – ".join(pair.cameras), pair.grade, pair.uncertainty_mm, pair.uncertainty_deg, pair.shared_poses,
@@ -45,7 +45,7 @@ def write_page(
     pairs: Sequence[PairVerdict],
     pictures: tuple[bytes, bytes],
 ) -> None:
-    """Write the page; ``pictures`` are before and after."""
+    """Write the page; ``pictures`` are the clouds before and after."""
     good, fair = (f"{1e3 * metres:.0f} mm and {degrees:g}°" for metres, degrees in (GOOD, FAIR))
     explained = (
         "± is how far a pair may be wrong (three standard deviations): in millimetres where the person was, in degrees "
@@ -69,19 +69,19 @@ def write_page(
 def draw_clouds(
     clouds: dict[str, Float[ndarray, "_ 3"]],
     poses: Sequence[Float[ndarray, "4 4"]],
-    way: Float[ndarray, "n 3"] | None,
+    trajectory: Float[ndarray, "n 3"] | None,
 ) -> bytes:
     """A PNG of the clouds in a Z-up world from above and from the side.
 
     Args:
         clouds: points by camera, in the world.
         poses: ``world_from_camera`` of these.
-        way: places of the person, in order.
+        trajectory: positions of the person in the world (metres), in order.
     """
     figure = Figure(figsize=(8.6, 4.4), dpi=_DPI, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     points = np.concatenate([*clouds.values(), np.stack([pose[:3, 3] for pose in poses])])
-    low, high = np.percentile(points, _WITHIN, axis=0)
+    low, high = np.percentile(points, _PERCENTILES, axis=0)
     for index, (title, across, along) in enumerate((("from above", 0, 1), ("from the side", 0, 2))):
         axes = figure.add_subplot(1, 2, index + 1)
         for colour, (name, cloud), pose in zip(COLOURS * 4, clouds.items(), poses, strict=False):
@@ -90,8 +90,8 @@ def draw_clouds(
             eye, tip = pose[:3, 3], pose[:3, 3] + 0.4 * pose[:3, 2]
             axes.plot(*np.stack([eye, tip])[:, [across, along]].T, color=colour, linewidth=2)
             axes.plot(eye[across], eye[along], "o", color=colour, markersize=6, label=label_of(name))
-        if way is not None:
-            axes.plot(way[:, across], way[:, along], color="black", linewidth=0.8)
+        if trajectory is not None:
+            axes.plot(trajectory[:, across], trajectory[:, along], color="black", linewidth=0.8)
         axes.set_xlim(low[across] - 0.4, high[across] + 0.4)
         axes.set_ylim(low[along] - 0.4, high[along] + 0.4)
         axes.set_aspect("equal")

@@ -1,4 +1,5 @@
-"""All cameras in one world, from the skeletons that they see: pairs first, then everything together."""
+"""Extrinsics of all cameras from the skeletons that they see: first of each pair, then jointly with the time
+offsets."""
 
 from __future__ import annotations
 
@@ -12,85 +13,95 @@ from numpy import ndarray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
-from depthmocap.calibration.joint_tracks import Skeletons, Track, at_common_times, common_times
-from depthmocap.calibration.pairs import Pair, geman_mcclure, relate, usable
-from depthmocap.calibration.solve import Rows, equations, meeting_rows, moved
+from depthmocap.calibration.joint_tracks import JointTrack, Skeletons, common_times, resample
+from depthmocap.calibration.pairs import CameraPair, estimate_pair, geman_mcclure, usable_joints
+from depthmocap.calibration.solve import ResidualRows, apply_twists, normal_equations, point_rows
 from depthmocap.geometry import rigid_inverse, transform_points
 
-#: Cameras are related if so many shared poses agree, and this share of them.
-LEAST_AGREED, LEAST_SHARE = 12, 0.3
-#: Errors within so many seconds are alike.
+#: A pair of cameras is reliable if at least this many of its shared poses agree,
+LEAST_AGREED = 12
+#: and this share of them.
+LEAST_SHARE = 0.3
+#: Errors within this time (seconds) are correlated: they are in one block of the bootstrap.
 BLOCK_S = 2.0
-_ROUNDS, _STILL = 12, 1e-5
-#: Poses and lateness take turns, until no camera's changes by more than this (s), so often at most: for somebody who
-#: walks in a circle, a turn of the world is much like a shift in time.
-_SETTLED_S, _TURNS = 0.0005, 25
+#: Most Gauss–Newton iterations.
+_ITERATIONS = 12
+#: They end when no twist is larger than this (radians, metres).
+_CONVERGED = 1e-5
+#: Poses and time offsets are estimated in alternation, until no offset changes by more than this (seconds),
+_OFFSETS_CONVERGED_S = 0.0005
+#: at most so often: for a person who walks in a circle, a rotation of the world is much like an offset in time.
+_ALTERNATIONS = 25
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Placement:
-    """Cameras by their skeletons.
+    """Extrinsics by the skeletons alone.
 
     Attributes:
-        cameras: numbers of those that could be placed, in order.
-        poses: ``world_from_camera`` of these; the first stands at the origin of this world.
-        late_s: how much later than its timestamps say each of them looks; 0 on average.
-        late_sigma_s: the standard error of that.
-        pairs: of all cameras that share frames.
+        cameras: indices of the cameras that could be placed, in order.
+        poses: their ``world_from_camera``; the first camera is the origin of this world.
+        offset_s: how much later than its timestamps say each of them exposes (seconds); the mean is 0.
+        offset_sigma_s: standard error of the offset.
+        pairs: of all cameras with common frames.
+        skeletons: of the placed cameras, at common times.
     """
 
     cameras: tuple[int, ...]
     poses: Float[ndarray, "k 4 4"]
-    late_s: Float[ndarray, " k"]
-    late_sigma_s: Float[ndarray, " k"]
-    pairs: dict[tuple[int, int], Pair]
+    offset_s: Float[ndarray, " k"]
+    offset_sigma_s: Float[ndarray, " k"]
+    pairs: dict[tuple[int, int], CameraPair]
     skeletons: Skeletons
 
 
-def place(tracks: Sequence[Track], rng: np.random.Generator) -> Placement:
-    """Place the largest group of cameras that are related."""
+def place_cameras(tracks: Sequence[JointTrack], rng: np.random.Generator) -> Placement:
+    """Place the largest group of cameras that reliable pairs connect."""
     times_s = common_times(tracks)
-    seen = at_common_times(tracks, times_s, np.zeros(len(tracks)))
-    pairs: dict[tuple[int, int], Pair] = {}
+    skeletons = resample(tracks, times_s, np.zeros(len(tracks)))
+    pairs: dict[tuple[int, int], CameraPair] = {}
     for a, b in itertools.combinations(range(len(tracks)), 2):
-        found = relate((seen.joints[a], seen.joints[b]), (seen.sigma_m[a], seen.sigma_m[b]), rng)
-        if found is not None:
-            pairs[a, b] = found
-    cameras, poses = _chain(pairs, len(tracks))
-    own = [tracks[camera] for camera in cameras]
-    late_s = late_sigma_s = np.zeros(len(own))
-    seen = at_common_times(own, times_s, late_s)
-    for _ in range(_TURNS if len(own) > 1 else 0):
-        poses = _solve(poses, seen)
-        more_s, late_sigma_s = lateness(poses, seen)
-        late_s = late_s + more_s
-        seen = at_common_times(own, times_s, late_s)
-        if np.abs(more_s).max() < _SETTLED_S:
+        joints, sigma_m = skeletons.joints, skeletons.sigma_m
+        pair = estimate_pair((joints[a], joints[b]), (sigma_m[a], sigma_m[b]), rng)
+        if pair is not None:
+            pairs[a, b] = pair
+    cameras, poses = _initial_poses(pairs, len(tracks))
+    chosen = [tracks[camera] for camera in cameras]
+    offset_s = offset_sigma_s = np.zeros(len(chosen))
+    skeletons = resample(chosen, times_s, offset_s)
+    for _ in range(_ALTERNATIONS if len(chosen) > 1 else 0):
+        poses = _solve(poses, skeletons)
+        change_s, offset_sigma_s = estimate_offsets(poses, skeletons)
+        offset_s = offset_s + change_s
+        skeletons = resample(chosen, times_s, offset_s)
+        if np.abs(change_s).max() < _OFFSETS_CONVERGED_S:
             break
-    return Placement(cameras, _solve(poses, seen), late_s, late_sigma_s, pairs, seen)
+    return Placement(cameras, _solve(poses, skeletons), offset_s, offset_sigma_s, pairs, skeletons)
 
 
-def related(pair: Pair) -> bool:
-    """Whether a pair may be built on."""
+def is_reliable(pair: CameraPair) -> bool:
+    """Whether enough poses of a pair agree to place a camera by it."""
     return pair.agreed >= LEAST_AGREED and pair.agreed >= LEAST_SHARE * pair.shared
 
 
-def lacking(pair: Pair) -> str:
-    """What a pair lacks to be built on."""
+def why_unreliable(pair: CameraPair) -> str:
+    """What an unreliable pair lacks, for a message."""
     if pair.agreed < LEAST_AGREED:
         return f"only {pair.agreed} poses agree, where {LEAST_AGREED} or more are needed"
     return f"only {pair.agreed} of {pair.shared} poses agree, where {LEAST_SHARE:.0%} or more are needed"
 
 
-def _chain(pairs: dict[tuple[int, int], Pair], count: int) -> tuple[tuple[int, ...], Float[ndarray, "k 4 4"]]:
-    """The largest group of related cameras, and their poses along the pairs that agree most often."""
+def _initial_poses(
+    pairs: dict[tuple[int, int], CameraPair], count: int
+) -> tuple[tuple[int, ...], Float[ndarray, "k 4 4"]]:
+    """The largest group of connected cameras, and their poses along the pairs that agree most often."""
     links = np.zeros((count, count))
     for (a, b), pair in pairs.items():
-        if related(pair):
+        if is_reliable(pair):
             links[a, b] = links[b, a] = pair.agreed
     _, group = connected_components(csr_array(links), directed=False)
-    sums = [((group == each).sum(), links[group == each].sum()) for each in range(group.max() + 1)]
-    cameras = np.flatnonzero(group == max(range(len(sums)), key=sums.__getitem__))
+    sizes = [((group == index).sum(), links[group == index].sum()) for index in range(group.max() + 1)]
+    cameras = np.flatnonzero(group == max(range(len(sizes)), key=sizes.__getitem__))
     tree = minimum_spanning_tree(csr_array(-links))
     order, parents = breadth_first_order(tree, int(cameras[0]), directed=False)
     poses = {int(cameras[0]): np.eye(4)}
@@ -102,66 +113,76 @@ def _chain(pairs: dict[tuple[int, int], Pair], count: int) -> tuple[tuple[int, .
     return tuple(cameras.tolist()), np.stack([poses[camera] for camera in cameras.tolist()])
 
 
-def joint_rows(poses: Float[ndarray, "k 4 4"], seen: Skeletons) -> list[Rows]:
-    """Rows that say that every joint is where any two cameras see it; blocks are of time."""
-    places = [transform_points(pose, joints) for pose, joints in zip(poses, seen.joints, strict=True)]
-    blocks = ((seen.times_s - seen.times_s[0]) / BLOCK_S).astype(np.int64)
-    known = usable(seen.joints, seen.sigma_m)
+def joint_rows(poses: Float[ndarray, "k 4 4"], skeletons: Skeletons) -> list[ResidualRows]:
+    """Residuals between the positions of every joint in any two cameras; the blocks are intervals of ``BLOCK_S``."""
+    positions = [transform_points(pose, joints) for pose, joints in zip(poses, skeletons.joints, strict=True)]
+    blocks = ((skeletons.times_s - skeletons.times_s[0]) / BLOCK_S).astype(np.int64)
+    known = usable_joints(skeletons.joints, skeletons.sigma_m)
     rows = []
     for a, b in itertools.combinations(range(len(poses)), 2):
-        both = known[a] & known[b]
-        if both.any():
-            expected = np.sqrt(seen.sigma_m[a][both] ** 2 + seen.sigma_m[b][both] ** 2)
-            rows.append(meeting_rows((a, b), places[a][both], places[b][both], expected, blocks[np.nonzero(both)[0]]))
+        common = known[a] & known[b]
+        if common.any():
+            expected = np.sqrt(skeletons.sigma_m[a][common] ** 2 + skeletons.sigma_m[b][common] ** 2)
+            rows.append(
+                point_rows(
+                    (a, b),
+                    positions[a][common],
+                    positions[b][common],
+                    expected,
+                    blocks[np.nonzero(common)[0]],
+                )
+            )
     return rows
 
 
-def mean_joints(poses: Float[ndarray, "k 4 4"], seen: Skeletons) -> Float[ndarray, "n 18 3"]:
-    """Joints that all cameras together see, in the world; NaN where none does."""
-    places = np.stack([transform_points(pose, joints) for pose, joints in zip(poses, seen.joints, strict=True)])
-    weights = np.where(usable(seen.joints, seen.sigma_m), 1 / seen.sigma_m**2, 0.0)[..., None]
+def mean_joints(poses: Float[ndarray, "k 4 4"], skeletons: Skeletons) -> Float[ndarray, "n 18 3"]:
+    """Mean of the cameras' joints in the world (metres), weighted by their expected errors; NaN without any."""
+    positions = np.stack([transform_points(pose, joints) for pose, joints in zip(poses, skeletons.joints, strict=True)])
+    weights = np.where(usable_joints(skeletons.joints, skeletons.sigma_m), 1 / skeletons.sigma_m**2, 0.0)[..., None]
     with np.errstate(invalid="ignore"):
-        return (np.where(weights > 0, places, 0.0) * weights).sum(0) / weights.sum(0)
+        return (np.where(weights > 0, positions, 0.0) * weights).sum(0) / weights.sum(0)
 
 
-def _solve(poses: Float[ndarray, "k 4 4"], seen: Skeletons) -> Float[ndarray, "k 4 4"]:
-    for _ in range(_ROUNDS):
-        twists = equations(joint_rows(poses, seen), len(poses)).twists()
-        poses = moved(poses, twists)
-        if np.abs(twists).max() < _STILL:
+def _solve(poses: Float[ndarray, "k 4 4"], skeletons: Skeletons) -> Float[ndarray, "k 4 4"]:
+    for _ in range(_ITERATIONS):
+        twists = normal_equations(joint_rows(poses, skeletons), len(poses)).solve()
+        poses = apply_twists(poses, twists)
+        if np.abs(twists).max() < _CONVERGED:
             break
     return poses
 
 
-def lateness(poses: Float[ndarray, "k 4 4"], seen: Skeletons) -> tuple[Float[ndarray, " k"], Float[ndarray, " k"]]:
-    """How much later than its timestamps say each camera still looks (s), 0 on average, and the standard error.
+def estimate_offsets(
+    poses: Float[ndarray, "k 4 4"], skeletons: Skeletons
+) -> tuple[Float[ndarray, " k"], Float[ndarray, " k"]]:
+    """Remaining time offset of each camera (seconds; the mean is 0), and its standard error.
 
-    A camera b that looks later than a by τ sees joints that are further on their way: p_b − p_a = τ v. Velocities are
-    as noisy as places, so that least squares would find too little; the product of both cameras' velocities, whose
-    errors are their own, in place of the square of one does not (instrumental variables).
+    If camera b exposes later than a by τ, its joints are displaced along their motion: p_b − p_a = τ v. Velocities are
+    noisy, so that least squares would underestimate τ. The product of the velocities from both cameras, whose errors
+    are independent, replaces the square of one (instrumental variables).
     """
-    turned = np.einsum("kij,knlj->knli", poses[:, :3, :3], seen.velocities())
-    places = np.stack([transform_points(pose, joints) for pose, joints in zip(poses, seen.joints, strict=True)])
-    known = usable(seen.joints, seen.sigma_m) & np.isfinite(turned).all(-1)
-    blocks = ((seen.times_s - seen.times_s[0]) / BLOCK_S).astype(np.int64)
+    velocities_world = np.einsum("kij,knlj->knli", poses[:, :3, :3], skeletons.velocities())
+    positions = np.stack([transform_points(pose, joints) for pose, joints in zip(poses, skeletons.joints, strict=True)])
+    known = usable_joints(skeletons.joints, skeletons.sigma_m) & np.isfinite(velocities_world).all(-1)
+    blocks = ((skeletons.times_s - skeletons.times_s[0]) / BLOCK_S).astype(np.int64)
     count = len(poses)
     # Σ over pairs of (late_b − late_a) m = n, block by block.
     matrices, vectors = np.zeros((blocks[-1] + 1, count, count)), np.zeros((blocks[-1] + 1, count))
     for a, b in itertools.combinations(range(count), 2):
-        both = known[a] & known[b]
-        apart = places[b][both] - places[a][both]
-        variance = seen.sigma_m[a][both] ** 2 + seen.sigma_m[b][both] ** 2
-        weights = geman_mcclure(np.linalg.norm(apart, axis=1) / np.sqrt(variance)) / variance
-        block = blocks[np.nonzero(both)[0]]
-        moving = weights * (turned[a][both] * turned[b][both]).sum(1)
-        ahead = weights * (apart * (turned[a][both] + turned[b][both]) / 2).sum(1)
-        m, n = (np.bincount(block, each, len(vectors)) for each in (moving, ahead))
+        common = known[a] & known[b]
+        offsets = positions[b][common] - positions[a][common]
+        variance = skeletons.sigma_m[a][common] ** 2 + skeletons.sigma_m[b][common] ** 2
+        weights = geman_mcclure(np.linalg.norm(offsets, axis=1) / np.sqrt(variance)) / variance
+        block = blocks[np.nonzero(common)[0]]
+        motion = weights * (velocities_world[a][common] * velocities_world[b][common]).sum(1)
+        alignment = weights * (offsets * (velocities_world[a][common] + velocities_world[b][common]) / 2).sum(1)
+        m, n = (np.bincount(block, values, len(vectors)) for values in (motion, alignment))
         for i, j, sign in ((a, a, 1), (b, b, 1), (a, b, -1), (b, a, -1)):
             matrices[:, i, j] += sign * m
         vectors[:, a] -= n
         vectors[:, b] += n
-    # The mean is held at 0, which differences leave open.
+    # Differences leave the mean undetermined; the pseudo-inverse sets it to 0.
     inverse = np.linalg.pinv(matrices.sum(0))
-    late_s = inverse @ vectors.sum(0)
-    left = (vectors - matrices @ late_s) @ inverse.T
-    return late_s, np.sqrt((left**2).sum(0))
+    offset_s = inverse @ vectors.sum(0)
+    residuals = (vectors - matrices @ offset_s) @ inverse.T
+    return offset_s, np.sqrt((residuals**2).sum(0))

@@ -1,4 +1,5 @@
-"""What each camera sees by itself: the person's skeleton and surface in its own frame, and the empty scene."""
+"""The observations of each camera alone: the person's skeleton and surface in the camera's frame, and the empty
+scene."""
 
 from __future__ import annotations
 
@@ -6,11 +7,11 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from depthmocap.calibration.joint_tracks import Track
-from depthmocap.calibration.surfaces import Surface, surface_of
+from depthmocap.calibration.joint_tracks import JointTrack
+from depthmocap.calibration.surfaces import Surface, extract_surface
 from depthmocap.classify.classifier import Classifier
 from depthmocap.errors import InputError
 from depthmocap.frames import View
@@ -18,84 +19,97 @@ from depthmocap.geometry import DepthCamera
 from depthmocap.recordings.recording import Recording
 from depthmocap.segment.static_scene import PersonSegmenter
 
-#: Somebody shows so much surface across the line of sight, or the view tells too little of them (m²).
+#: Least visible area of the person (m²): a view with less shows too little of them.
 LEAST_PERSON_M2 = 0.12
-#: The person's surface is kept at moments this far apart (s), of so many points at most.
-MOMENT_S, _POINTS = 0.4, 400
-#: So many points of the empty scene side by side; the person is looked at more closely.
-_ACROSS, _EVERY_PERSON = 160, 2
+#: The person's surface is kept once in each interval of this length (seconds),
+MOMENT_S = 0.4
+#: with at most this many points.
+_POINTS = 400
+#: Number of points of the empty scene in a row.
+_POINTS_ACROSS = 160
+#: Every so many-th pixel of the person is a point.
+_PERSON_STRIDE = 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Observation:
-    """What one camera saw in a recording.
+    """One camera's observations in a recording.
 
     Attributes:
-        camera: at the origin, whatever the recording says.
-        track: the person.
-        person: the person's surface and its time (s), by the number of the moment.
-        empty_m: depth of the empty scene (metres), 0 where it is not known.
-        frames: that were looked at.
+        camera: at the origin, wherever the recording's rig places it.
+        track: the person's joints.
+        person: time (seconds) and surface of the person, by the number of the interval of ``MOMENT_S``.
+        empty_m: depth of the empty scene (metres), 0 where it is unknown.
+        frames: number of processed frames.
     """
 
     camera: DepthCamera
-    track: Track
+    track: JointTrack
     person: dict[int, tuple[float, Surface]]
     empty_m: Float[ndarray, "h w"]
     frames: int
 
     def empty_surface(self) -> Surface:
-        """Of the room."""
-        return surface_of(self.camera, self.empty_m, max(round(self.camera.width / _ACROSS), 1))
+        """The surface of the room."""
+        return extract_surface(self.camera, self.empty_m, max(round(self.camera.width / _POINTS_ACROSS), 1))
 
 
 def observe(
-    recording: Recording, classifier: Classifier, segmenter: PersonSegmenter, rate_hz: float, looked: Callable[[], None]
+    recording: Recording,
+    classifier: Classifier,
+    segmenter: PersonSegmenter,
+    rate_hz: float,
+    on_frame: Callable[[], None],
 ) -> list[Observation]:
-    """What every camera sees by itself.
+    """The observations of every camera.
 
     Args:
-        rate_hz: frames a second that are looked at, at most.
-        looked: called after every frame.
+        rate_hz: most frames per second that are processed.
+        on_frame: called after every frame.
     """
-    seen = []
+    observations = []
     for camera in recording.rig.cameras:
-        placed = dataclasses.replace(camera, world_from_camera=np.eye(4))
-        times, joints, person = [], [], {}
-        stamps = thinned(recording.stamps(camera.name), rate_hz)
-        for stamp in stamps:
-            view = _view(recording, placed, stamp)
-            if view is not None:
-                mask = segmenter(view)
-                area_m2 = float((view.depth_m[mask] ** 2).sum()) / (camera.fx * camera.fy)
-                if area_m2 >= LEAST_PERSON_M2:
-                    (found,) = classifier.label_views([view], [mask])
-                    times.append(stamp / 1e9)
-                    joints.append(found.joints)
-                    moment = int(times[-1] // MOMENT_S)
-                    if moment not in person:
-                        surface = surface_of(placed, view.depth_m, _EVERY_PERSON, mask)
-                        person[moment] = times[-1], surface.thinned(_POINTS)
-            looked()
-        places = np.stack(joints) if joints else np.empty((0, 18, 4))
-        track = Track(np.array(times), places[..., :3], places[..., 3])
+        camera_at_origin = dataclasses.replace(camera, world_from_camera=np.eye(4))
+        times_s, joints, person = [], [], {}
+        timestamps = subsample_timestamps(recording.stamps(camera.name), rate_hz)
+        for timestamp_ns in timestamps:
+            view = _view(recording, camera_at_origin, timestamp_ns)
+            mask = None if view is None else _person_mask(view, segmenter)
+            if view is not None and mask is not None:
+                (prediction,) = classifier.label_views([view], [mask])
+                times_s.append(timestamp_ns / 1e9)
+                joints.append(prediction.joints)
+                moment = int(times_s[-1] // MOMENT_S)
+                if moment not in person:
+                    surface = extract_surface(camera_at_origin, view.depth_m, _PERSON_STRIDE, mask)
+                    person[moment] = times_s[-1], surface.subsampled(_POINTS)
+            on_frame()
+        joints_and_errors = np.stack(joints) if joints else np.empty((0, 18, 4))
+        track = JointTrack(np.array(times_s), joints_and_errors[..., :3], joints_and_errors[..., 3])
         empty_m = segmenter.backgrounds_m.get(camera.name, np.zeros((camera.height, camera.width), np.float32))
-        seen.append(Observation(placed, track, person, empty_m, len(stamps)))
-    return seen
+        observations.append(Observation(camera_at_origin, track, person, empty_m, len(timestamps)))
+    return observations
 
 
-def thinned(stamps: list[int], rate_hz: float) -> list[int]:
-    """Timestamps (ns) of a camera, at most so many a second, evenly."""
-    if len(stamps) < 2:
-        return stamps
-    period_ns = float(np.median(np.diff(stamps)))
-    # A rate just above the wanted one is kept, so that it is not halved.
-    return stamps[:: max(round(1e9 / rate_hz / period_ns), 1)]
+def _person_mask(view: View, segmenter: PersonSegmenter) -> Bool[ndarray, "h w"] | None:
+    """The person's mask; None if it shows too little of them."""
+    mask = segmenter(view)
+    area_m2 = float((view.depth_m[mask] ** 2).sum()) / (view.camera.fx * view.camera.fy)
+    return mask if area_m2 >= LEAST_PERSON_M2 else None
 
 
-def _view(recording: Recording, camera: DepthCamera, stamp: int) -> View | None:
-    """A frame, or nothing where it cannot be read."""
+def subsample_timestamps(timestamps: list[int], rate_hz: float) -> list[int]:
+    """A camera's timestamps (ns), evenly reduced to about ``rate_hz``."""
+    if len(timestamps) < 2:
+        return timestamps
+    period_ns = float(np.median(np.diff(timestamps)))
+    # Rounding keeps a rate just above rate_hz, instead of halving it.
+    return timestamps[:: max(round(1e9 / rate_hz / period_ns), 1)]
+
+
+def _view(recording: Recording, camera: DepthCamera, timestamp_ns: int) -> View | None:
+    """A frame; None if it cannot be read."""
     try:
-        return View(camera, camera.to_metres(recording.raw(camera.name, stamp)))
+        return View(camera, camera.to_metres(recording.raw(camera.name, timestamp_ns)))
     except InputError:
         return None

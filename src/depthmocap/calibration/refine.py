@@ -1,9 +1,9 @@
-"""Poses made exact by surfaces: where two cameras see the same wall, floor or side of the person, their clouds should
-lie on each other.
+"""Refinement of the extrinsics by surfaces: where two cameras see the same wall, floor or side of the person, their
+point clouds should coincide.
 
-Nearest points that face the same way are brought together along the normal (iterated closest points), all pairs of
-cameras at once, while the joints keep what no surface tells. Skeletons guard against a wrong match: where they fit
-worse afterwards, the poses stay what they were.
+The iterative closest point method (point to plane) brings nearest points with similar normals together, for all pairs
+of cameras at once. Joints constrain what no surface determines. The skeletons also detect wrong matches: if they fit
+worse afterwards, the poses stay as they were.
 """
 
 from __future__ import annotations
@@ -20,189 +20,205 @@ from scipy.spatial import KDTree
 from depthmocap.calibration.camera_placement import BLOCK_S, Placement, joint_rows, mean_joints
 from depthmocap.calibration.joint_tracks import Skeletons
 from depthmocap.calibration.observations import Observation
-from depthmocap.calibration.pairs import usable
-from depthmocap.calibration.solve import Rows, equations, moved
-from depthmocap.calibration.surfaces import Surface, meeting_surfaces
+from depthmocap.calibration.pairs import usable_joints
+from depthmocap.calibration.solve import ResidualRows, apply_twists, normal_equations
+from depthmocap.calibration.surfaces import Surface, surface_rows
 from depthmocap.geometry import transform_points
 
-#: Rounds; reach and the distance to expect shrink from round to round (metres): first, share kept, least.
-_ROUNDS, _SHRINK = 18, 0.82
+#: Iterations.
+_ITERATIONS = 18
+#: Factor by which reach and expected distance shrink in each iteration.
+_SHRINK = 0.82
+#: Greatest distance of corresponding points (metres), at first and at last.
 _REACH_M = {"room": (0.2, 0.05), "person": (0.1, 0.03)}
+#: Expected distance of corresponding points (metres), at first and at last.
 _EXPECTED_M = (0.04, 0.008)
-#: Joints of one skeleton, and of neighbouring frames, err alike: they count for fewer than they are.
-_JOINT_SHARE = 0.03
-#: Surfaces in cells of this size err alike (metres).
+#: Weight of the joints: the errors of one skeleton, and of neighbouring frames, are correlated.
+_JOINT_WEIGHT = 0.03
+#: Size of the cells in which errors of surfaces are correlated (metres): one bootstrap block each.
 _CELL_M = 0.75
-#: Fewer points that two cameras see are chance.
+#: Fewest corresponding points of a pair; fewer are chance.
 LEAST_POINTS = 150
-#: Joints may be this much further from each other afterwards (metres): their errors lean one way where the person did
-#: not turn, and a wrong match costs much more.
-_WORSE_M = 0.02
-#: Errors that all skeletons of a camera share, which no repetition tells: along its view, the same for every camera of
-#: one network; besides, its own in every direction (metres) and about every axis (radians). Standard deviations, from
-#: skeletons of generated people.
-_DEEP_M, _OFF_M, _TURNED_RAD = 0.006, 0.003, np.deg2rad(0.2)
+#: The median joint distance may grow by this (metres): joint errors have a bias if the person did not turn, and a wrong
+#: match costs much more.
+_TOLERANCE_M = 0.02
+#: Systematic errors of a camera's skeletons, which the bootstrap does not see (standard deviations from generated
+#: people): along the line of sight, the same for all cameras, since they have the same network (metres);
+_RANGE_SIGMA_M = 0.006
+#: in every direction, different for each camera (metres);
+_SHIFT_SIGMA_M = 0.003
+#: and about every axis, different for each camera (radians).
+_ROTATION_SIGMA_RAD = np.deg2rad(0.2)
+#: Samples of the uncertainty.
 _DRAWS = 200
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Refined:
-    """Poses, and what they rest on.
+class RefinedPlacement:
+    """The refined poses and their uncertainty.
 
     Attributes:
-        kept: whether surfaces were used; otherwise the poses are those of the skeletons.
-        shared: points of surfaces that a pair has in common.
-        apart_m: their median distance along the normal, before and after.
-        spread: twists of the poses that are as likely (draws).
+        poses: ``world_from_camera``.
+        surfaces_used: False if the poses are those of the skeletons alone.
+        shared_points: number of corresponding surface points of each pair.
+        distances_m: their median distance along the normal, before and after (metres).
+        twist_samples: samples of the poses' errors, as twists.
     """
 
     poses: Float[ndarray, "k 4 4"]
-    kept: bool
-    shared: dict[tuple[int, int], int]
-    apart_m: dict[tuple[int, int], tuple[float, float]]
-    spread: Float[ndarray, "d k 6"]
+    surfaces_used: bool
+    shared_points: dict[tuple[int, int], int]
+    distances_m: dict[tuple[int, int], tuple[float, float]]
+    twist_samples: Float[ndarray, "d k 6"]
 
 
-class Scene:
-    """The surfaces of placed cameras: the room's, and the person's moment by moment."""
+class SurfaceScene:
+    """The surfaces that the placed cameras see: of the room, and of the person at many moments."""
 
-    def __init__(self, placement: Placement, seen: Sequence[Observation]) -> None:
-        """``seen``: by the placed cameras, in their order."""
-        self._rooms = [each.empty_surface() for each in seen]
+    def __init__(self, placement: Placement, observations: Sequence[Observation]) -> None:
+        """``observations``: of the placed cameras, in their order."""
+        self._rooms = [observation.empty_surface() for observation in observations]
         joints = mean_joints(placement.poses, placement.skeletons)
         times_s = placement.skeletons.times_s
-        speeds = np.gradient(joints, times_s, axis=0)
+        velocities = np.gradient(joints, times_s, axis=0)
         self._moments: list[tuple[int, list[Surface | None]]] = []
-        for moment in sorted({moment for each in seen for moment in each.person}):
-            own = [each.person.get(moment) for each in seen]
-            looked = [late + each[0] for late, each in zip(placement.late_s, own, strict=True) if each is not None]
-            now_s = float(np.median(looked))
-            at = int(np.abs(times_s - now_s).argmin())
-            known = np.isfinite(joints[at] + speeds[at]).all(-1)
-            if len(looked) < 2 or not known.any():
-                continue
-            going = joints[at, known], speeds[at, known]
-            # As each camera would have seen the person at the same instant.
-            surfaces = [
-                None if each is None else _carried(each[1], pose, *going, now_s - late - each[0])
-                for each, pose, late in zip(own, placement.poses, placement.late_s, strict=True)
+        for moment in sorted({moment for observation in observations for moment in observation.person}):
+            timed = [observation.person.get(moment) for observation in observations]
+            exposures_s = [
+                offset + entry[0] for offset, entry in zip(placement.offset_s, timed, strict=True) if entry is not None
             ]
-            self._moments.append((int((times_s[at] - times_s[0]) / BLOCK_S), surfaces))
+            now_s = float(np.median(exposures_s))
+            nearest = int(np.abs(times_s - now_s).argmin())
+            known = np.isfinite(joints[nearest] + velocities[nearest]).all(-1)
+            if len(exposures_s) < 2 or not known.any():
+                continue
+            motion = joints[nearest, known], velocities[nearest, known]
+            surfaces = [
+                None if entry is None else _motion_compensated(entry[1], pose, *motion, now_s - offset - entry[0])
+                for entry, pose, offset in zip(timed, placement.poses, placement.offset_s, strict=True)
+            ]
+            self._moments.append((int((times_s[nearest] - times_s[0]) / BLOCK_S), surfaces))
 
-    def rows(self, poses: Float[ndarray, "k 4 4"], index: int = _ROUNDS) -> tuple[list[Rows], list[Rows]]:
-        """Rows of the room and of the person, in a round; the person's in the blocks of time that joints are in."""
-        expected = _in_round(_EXPECTED_M, index)
-        rooms = [room.seen_from(pose) for room, pose in zip(self._rooms, poses, strict=True)]
+    def rows(
+        self, poses: Float[ndarray, "k 4 4"], index: int = _ITERATIONS
+    ) -> tuple[list[ResidualRows], list[ResidualRows]]:
+        """Residuals of the room and of the person in an iteration; the person's are in the blocks of the joints."""
+        expected = _annealed(_EXPECTED_M, index)
+        rooms = [room.to_world(pose) for room, pose in zip(self._rooms, poses, strict=True)]
         pairs = list(itertools.permutations(range(len(poses)), 2))
-        reach = _in_round(_REACH_M["room"], index)
-        room = [meeting_surfaces((a, b), rooms[a], rooms[b], reach, expected) for a, b in pairs]
-        reach, person = _in_round(_REACH_M["person"], index), []
+        reach = _annealed(_REACH_M["room"], index)
+        room = [surface_rows((a, b), rooms[a], rooms[b], reach, expected) for a, b in pairs]
+        reach, person = _annealed(_REACH_M["person"], index), []
         for block, surfaces in self._moments:
-            placed = [each and each.seen_from(pose) for each, pose in zip(surfaces, poses, strict=True)]
+            placed = [surface and surface.to_world(pose) for surface, pose in zip(surfaces, poses, strict=True)]
             for a, b in pairs:
                 one, other = placed[a], placed[b]
                 if one is not None and other is not None:
-                    person.append(meeting_surfaces((a, b), one, other, reach, expected, block))
-        return [each for each in room if each is not None], [each for each in person if each is not None]
+                    person.append(surface_rows((a, b), one, other, reach, expected, block))
+        return [rows for rows in room if rows is not None], [rows for rows in person if rows is not None]
 
 
-def refine(placement: Placement, seen: Sequence[Observation], rng: np.random.Generator) -> Refined:
-    """Refine the poses by the surfaces where that leaves the joints together.
+def refine(placement: Placement, observations: Sequence[Observation], rng: np.random.Generator) -> RefinedPlacement:
+    """Refine the poses by the surfaces, unless the joints then fit worse.
 
     Args:
-        seen: by the placed cameras, in their order.
+        observations: of the placed cameras, in their order.
     """
-    scene, skeletons, count = Scene(placement, seen), placement.skeletons, len(seen)
-    first = exact = placement.poses
-    for index in range(_ROUNDS):
-        room, person = scene.rows(exact, index)
-        exact = moved(exact, equations([*_fewer(joint_rows(exact, skeletons)), *room, *person], count).twists())
-    room, person = scene.rows(exact)
-    before, after = _in_pairs([row for rows in scene.rows(first) for row in rows]), _in_pairs([*room, *person])
-    shared = {pair: len(rows) for pair, rows in after.items() if len(rows) >= LEAST_POINTS}
-    kept = bool(shared) and joints_apart_m(exact, skeletons) <= joints_apart_m(first, skeletons) + _WORSE_M
-    poses = exact if kept else first
+    scene, skeletons, count = SurfaceScene(placement, observations), placement.skeletons, len(observations)
+    initial = refined = placement.poses
+    for index in range(_ITERATIONS):
+        room, person = scene.rows(refined, index)
+        rows = [*_downweighted(joint_rows(refined, skeletons)), *room, *person]
+        refined = apply_twists(refined, normal_equations(rows, count).solve())
+    room, person = scene.rows(refined)
+    before = _distances_by_pair([row for rows in scene.rows(initial) for row in rows])
+    after = _distances_by_pair([*room, *person])
+    shared_points = {pair: len(rows) for pair, rows in after.items() if len(rows) >= LEAST_POINTS}
+    tolerated_m = joint_distance_m(initial, skeletons) + _TOLERANCE_M
+    surfaces_used = bool(shared_points) and joint_distance_m(refined, skeletons) <= tolerated_m
+    poses = refined if surfaces_used else initial
     joints = joint_rows(poses, skeletons)
-    if kept:
-        joints = _fewer(joints)
-    rows = [*joints, *person, *_by_cells(room, joints)] if kept else joints
-    apart_m = {pair: (_median(before.get(pair, np.empty(0))), _median(after[pair])) for pair in shared}
-    return Refined(poses, kept, shared, apart_m, _spread(poses, skeletons, rows, joints, rng))
+    if surfaces_used:
+        joints = _downweighted(joints)
+    rows = [*joints, *person, *_in_spatial_blocks(room, joints)] if surfaces_used else joints
+    distances_m = {pair: (_median(before.get(pair, np.empty(0))), _median(after[pair])) for pair in shared_points}
+    samples = _sample_twists(poses, skeletons, rows, joints, rng)
+    return RefinedPlacement(poses, surfaces_used, shared_points, distances_m, samples)
 
 
-def joints_apart_m(poses: Float[ndarray, "k 4 4"], seen: Skeletons) -> float:
-    """The median distance of joints that two cameras see."""
-    places = [transform_points(pose, joints) for pose, joints in zip(poses, seen.joints, strict=True)]
-    known = usable(seen.joints, seen.sigma_m)
-    apart = [
-        np.linalg.norm(places[a] - places[b], axis=-1)[known[a] & known[b]]
+def joint_distance_m(poses: Float[ndarray, "k 4 4"], skeletons: Skeletons) -> float:
+    """The median distance (metres) between the positions of a joint in two cameras."""
+    positions = [transform_points(pose, joints) for pose, joints in zip(poses, skeletons.joints, strict=True)]
+    known = usable_joints(skeletons.joints, skeletons.sigma_m)
+    distances = [
+        np.linalg.norm(positions[a] - positions[b], axis=-1)[known[a] & known[b]]
         for a, b in itertools.combinations(range(len(poses)), 2)
     ]
-    return float(np.median(np.concatenate(apart)))
+    return float(np.median(np.concatenate(distances)))
 
 
-def _spread(
+def _sample_twists(
     poses: Float[ndarray, "k 4 4"],
-    seen: Skeletons,
-    rows: Sequence[Rows],
-    joints: Sequence[Rows],
+    skeletons: Skeletons,
+    rows: Sequence[ResidualRows],
+    joints: Sequence[ResidualRows],
     rng: np.random.Generator,
 ) -> Float[ndarray, "d k 6"]:
-    """What the poses could as well be: by chance (a bootstrap), and by errors that all skeletons share."""
-    system = equations(rows, len(poses))
-    by_joints = equations(joints, len(poses)).matrices.sum(0)
-    middle = np.nanmedian(mean_joints(poses, seen), axis=(0, 1))
+    """Samples of the poses' errors: random ones by a bootstrap, plus the systematic errors of skeletons."""
+    system = normal_equations(rows, len(poses))
+    by_joints = normal_equations(joints, len(poses)).matrices.sum(0)
+    middle = np.nanmedian(mean_joints(poses, skeletons), axis=(0, 1))
     views = middle - poses[:, :3, 3]
     views /= np.linalg.norm(views, axis=1, keepdims=True)
-    drawn = system.bootstrap(rng, _DRAWS)
-    for each in drawn:
-        turned = rng.normal(0, _TURNED_RAD, (len(poses), 3))
-        off = rng.normal(0, _OFF_M, (len(poses), 3)) + rng.normal(0, _DEEP_M) * views
-        # Turned about the person, as a twist about the origin.
-        errors = np.concatenate([turned, off - np.cross(turned, middle)], 1)
-        each += system.respond(by_joints @ errors.ravel())
-    return drawn
+    samples = system.bootstrap(rng, _DRAWS)
+    for sample in samples:
+        rotation = rng.normal(0, _ROTATION_SIGMA_RAD, (len(poses), 3))
+        shift = rng.normal(0, _SHIFT_SIGMA_M, (len(poses), 3)) + rng.normal(0, _RANGE_SIGMA_M) * views
+        # A rotation about the person, as a twist about the origin.
+        errors = np.concatenate([rotation, shift - np.cross(rotation, middle)], 1)
+        sample += system.solve_for(by_joints @ errors.ravel())
+    return samples
 
 
-def _in_round(bounds: tuple[float, float], index: int) -> float:
-    most, least = bounds
-    return max(most * _SHRINK**index, least)
+def _annealed(bounds: tuple[float, float], index: int) -> float:
+    start, end = bounds
+    return max(start * _SHRINK**index, end)
 
 
-def _carried(
+def _motion_compensated(
     surface: Surface,
     pose: Float[ndarray, "4 4"],
     joints: Float[ndarray, "j 3"],
-    speeds: Float[ndarray, "j 3"],
-    later_s: float,
+    velocities: Float[ndarray, "j 3"],
+    elapsed_s: float,
 ) -> Surface:
-    """A surface (in the camera's frame) after a moment, each point having gone with the nearest joint."""
+    """A surface (in the camera's frame) after a time, moved with the nearest joint of each point."""
     _, nearest = KDTree(joints).query(transform_points(pose, surface.points))
-    return Surface(surface.points + later_s * speeds[nearest] @ pose[:3, :3], surface.normals)
+    return Surface(surface.points + elapsed_s * velocities[nearest] @ pose[:3, :3], surface.normals)
 
 
-def _fewer(rows: Sequence[Rows]) -> list[Rows]:
-    return [dataclasses.replace(each, weights=_JOINT_SHARE * each.weights) for each in rows]
+def _downweighted(rows: Sequence[ResidualRows]) -> list[ResidualRows]:
+    return [dataclasses.replace(row_set, weights=_JOINT_WEIGHT * row_set.weights) for row_set in rows]
 
 
-def _by_cells(rows: Sequence[Rows], others: Sequence[Rows]) -> list[Rows]:
-    """The rows in blocks of space, numbered after those of others."""
+def _in_spatial_blocks(rows: Sequence[ResidualRows], others: Sequence[ResidualRows]) -> list[ResidualRows]:
+    """The rows with one block for each cell of space, numbered after the blocks of ``others``."""
     if not rows:
         return []
-    first = 1 + max(int(each.blocks.max()) for each in others)
-    cells = np.floor(np.concatenate([each.a for each in rows]) / _CELL_M)
+    first = 1 + max(int(row_set.blocks.max()) for row_set in others)
+    cells = np.floor(np.concatenate([row_set.a for row_set in rows]) / _CELL_M)
     _, blocks = np.unique(cells, axis=0, return_inverse=True)
-    parts = np.split(first + blocks.reshape(-1), np.cumsum([len(each.a) for each in rows])[:-1])
-    return [dataclasses.replace(each, blocks=part) for each, part in zip(rows, parts, strict=True)]
+    parts = np.split(first + blocks.reshape(-1), np.cumsum([len(row_set.a) for row_set in rows])[:-1])
+    return [dataclasses.replace(row_set, blocks=part) for row_set, part in zip(rows, parts, strict=True)]
 
 
-def _in_pairs(rows: Sequence[Rows]) -> dict[tuple[int, int], Float[ndarray, " n"]]:
-    """Distances along the normal by pair, whichever camera was asked first."""
-    found: dict[tuple[int, int], list[ndarray]] = {}
-    for each in rows:
-        pair = min(each.cameras), max(each.cameras)
-        found.setdefault(pair, []).append(np.abs(((each.a - each.b) * each.normals).sum(1)))
-    return {pair: np.concatenate(parts) for pair, parts in found.items()}
+def _distances_by_pair(rows: Sequence[ResidualRows]) -> dict[tuple[int, int], Float[ndarray, " n"]]:
+    """Distances along the normal (metres) of each pair of cameras, in either order."""
+    distances: dict[tuple[int, int], list[ndarray]] = {}
+    for row_set in rows:
+        pair = min(row_set.cameras), max(row_set.cameras)
+        distances.setdefault(pair, []).append(np.abs(((row_set.a - row_set.b) * row_set.normals).sum(1)))
+    return {pair: np.concatenate(parts) for pair, parts in distances.items()}
 
 
 def _median(values: Float[ndarray, " n"]) -> float:

@@ -1,12 +1,12 @@
-"""Where all cameras stand, from everything that two of them see of the same things.
+"""Gauss–Newton solution for the poses of all cameras, and its uncertainty by a block bootstrap.
 
-A row says that two cameras' points of one thing should meet along a direction n: r = n · (p_a - p_b), in the world.
-Poses change by twists (ω, v) of the world, p' = p + ω x p + v, to which r is linear: the sum of w r² is minimised by
-Gauss-Newton, with the weights of :func:`geman_mcclure`. The first camera stays where it is.
+A row is the residual between two cameras' points of the same thing along a direction n: r = n · (p_a - p_b), in the
+world. Poses change by twists (ω, v) of the world, p' = p + ω x p + v, in which r is linear. Gauss–Newton minimises the
+sum of w r² with the weights of :func:`geman_mcclure`. The first camera stays fixed.
 
-Errors of neighbouring rows are alike, so that sums over them would promise too much. Rows therefore belong to blocks,
-of time or of space, and the uncertainty is that of poses which are solved again from blocks drawn at random (a
-bootstrap).
+Errors of neighbouring rows are correlated; treated as independent they would give too small an uncertainty. Rows
+therefore belong to blocks of time or of space, and the uncertainty is the spread of the poses solved again from blocks
+drawn at random.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from scipy.spatial.transform import Rotation
 
 from depthmocap.calibration.pairs import geman_mcclure
 
-#: Keeps what nothing tells where it is (of the mean weight of the rows).
+#: Damping as a share of the trace: a pose that no row determines stays as it is.
 _DAMPING = 1e-9
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Rows:
-    """Rows of one pair of cameras.
+class ResidualRows:
+    """Residuals of one pair of cameras.
 
     Attributes:
         cameras: the pair, a and b.
-        a: points of the first in the world. ``b``: of the second.
-        normals: directions along which they should meet.
-        weights: of the squared distances (1/m²), robust ones.
-        blocks: of each row; numbers of all pairs are from one count.
+        a, b: corresponding points of the two cameras in the world (metres).
+        normals: direction of each residual.
+        weights: robust weights of the squared residuals (1/m²).
+        blocks: bootstrap block of each row; all pairs share one numbering.
     """
 
     cameras: tuple[int, int]
@@ -46,73 +46,73 @@ class Rows:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Equations:
-    """Normal equations by block, for the twists of all cameras."""
+class NormalEquations:
+    """Normal equations of the twists of all cameras (m = 6 · cameras), one set for each of k blocks."""
 
     matrices: Float[ndarray, "k m m"]
     vectors: Float[ndarray, "k m"]
 
-    def twists(self, counts: Float[ndarray, " k"] | None = None) -> Float[ndarray, "c 6"]:
-        """The solution, each block counted so many times (once by default); the first camera's is zero."""
+    def solve(self, counts: Float[ndarray, " k"] | None = None) -> Float[ndarray, "c 6"]:
+        """The twists that solve the equations, with each block counted ``counts`` times; the first camera's are 0."""
         counts = np.ones(len(self.vectors)) if counts is None else counts
-        return self.respond(counts @ self.vectors, counts)
+        return self.solve_for(counts @ self.vectors, counts)
 
-    def respond(
+    def solve_for(
         self, vector: Float[ndarray, " m"], counts: Float[ndarray, " k"] | None = None
     ) -> Float[ndarray, "c 6"]:
-        """The twists that another right side of the equations gives."""
+        """The twists for another right-hand side."""
         counts = np.ones(len(self.vectors)) if counts is None else counts
         matrix = np.tensordot(counts, self.matrices, 1)[6:, 6:]
         matrix = matrix + np.eye(len(matrix)) * max(_DAMPING * float(np.trace(matrix)), 1e-9)
         return np.concatenate([np.zeros(6), np.linalg.solve(matrix, vector[6:])]).reshape(-1, 6)
 
     def bootstrap(self, rng: np.random.Generator, draws: int) -> Float[ndarray, "d c 6"]:
-        """Solutions from as many blocks drawn with replacement, less the solution from all."""
-        filled = np.flatnonzero(np.abs(self.matrices).sum((1, 2)) > 0)
-        drawn = []
+        """Solutions from as many blocks drawn with replacement, minus the solution from all blocks."""
+        occupied = np.flatnonzero(np.abs(self.matrices).sum((1, 2)) > 0)
+        samples = []
         for _ in range(draws):
-            counts = np.bincount(rng.choice(filled, len(filled)), minlength=len(self.vectors)).astype(float)
-            drawn.append(self.twists(counts))
-        return np.stack(drawn) - self.twists()
+            counts = np.bincount(rng.choice(occupied, len(occupied)), minlength=len(self.vectors)).astype(float)
+            samples.append(self.solve(counts))
+        return np.stack(samples) - self.solve()
 
 
-def equations(rows: Sequence[Rows], cameras: int) -> Equations:
-    """The equations that rows make for so many cameras."""
-    count = 1 + max((int(each.blocks.max()) for each in rows if len(each.blocks)), default=0)
+def normal_equations(rows: Sequence[ResidualRows], cameras: int) -> NormalEquations:
+    """The normal equations of the rows for this number of cameras."""
+    count = 1 + max((int(row_set.blocks.max()) for row_set in rows if len(row_set.blocks)), default=0)
     matrices, vectors = np.zeros((count, 6 * cameras, 6 * cameras)), np.zeros((count, 6 * cameras))
-    for each in rows:
+    for row_set in rows:
         jacobian = np.concatenate(
             [
-                np.cross(each.a, each.normals), each.normals,
-                -np.cross(each.b, each.normals), -each.normals,
+                np.cross(row_set.a, row_set.normals), row_set.normals,
+                -np.cross(row_set.b, row_set.normals), -row_set.normals,
             ], 1
         )  # fmt: skip
-        residual = ((each.a - each.b) * each.normals).sum(1)
-        columns = np.concatenate([6 * camera + np.arange(6) for camera in each.cameras])
-        order = np.argsort(each.blocks, kind="stable")
-        for own in np.split(order, np.flatnonzero(np.diff(each.blocks[order])) + 1):
-            block, weighted = each.blocks[own[0]], jacobian[own] * each.weights[own, None]
-            matrices[block][np.ix_(columns, columns)] += weighted.T @ jacobian[own]
-            vectors[block][columns] -= weighted.T @ residual[own]
-    return Equations(matrices, vectors)
+        residual = ((row_set.a - row_set.b) * row_set.normals).sum(1)
+        columns = np.concatenate([6 * camera + np.arange(6) for camera in row_set.cameras])
+        order = np.argsort(row_set.blocks, kind="stable")
+        for indices in np.split(order, np.flatnonzero(np.diff(row_set.blocks[order])) + 1):
+            block, weighted = row_set.blocks[indices[0]], jacobian[indices] * row_set.weights[indices, None]
+            matrices[block][np.ix_(columns, columns)] += weighted.T @ jacobian[indices]
+            vectors[block][columns] -= weighted.T @ residual[indices]
+    return NormalEquations(matrices, vectors)
 
 
-def moved(poses: Float[ndarray, "c 4 4"], twists: Float[ndarray, "c 6"]) -> Float[ndarray, "c 4 4"]:
-    """Poses after twists of the world."""
+def apply_twists(poses: Float[ndarray, "c 4 4"], twists: Float[ndarray, "c 6"]) -> Float[ndarray, "c 4 4"]:
+    """Poses changed by twists of the world."""
     world_from_old = np.tile(np.eye(4), (len(poses), 1, 1))
     world_from_old[:, :3, :3] = Rotation.from_rotvec(twists[:, :3]).as_matrix()
     world_from_old[:, :3, 3] = twists[:, 3:]
     return world_from_old @ poses
 
 
-def meeting_rows(
+def point_rows(
     cameras: tuple[int, int],
     a: Float[ndarray, "n 3"],
     b: Float[ndarray, "n 3"],
     expected_m: Float[ndarray, " n"],
     blocks: Int[ndarray, " n"],
-) -> Rows:
-    """Rows that say that points should meet in all directions."""
+) -> ResidualRows:
+    """Residuals between corresponding points along all three axes."""
     weights = geman_mcclure(np.linalg.norm(a - b, axis=1) / expected_m) / expected_m**2
     three = np.repeat(np.arange(len(a)), 3)
-    return Rows(cameras, a[three], b[three], np.tile(np.eye(3), (len(a), 1)), weights[three], blocks[three])
+    return ResidualRows(cameras, a[three], b[three], np.tile(np.eye(3), (len(a), 1)), weights[three], blocks[three])

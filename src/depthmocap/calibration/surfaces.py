@@ -1,4 +1,4 @@
-"""Surfaces that two cameras see of the same thing, and how far they are from each other."""
+"""Surfaces as points with normals, and the residuals between the surfaces that two cameras see."""
 
 from __future__ import annotations
 
@@ -10,84 +10,91 @@ from numpy import ndarray
 from scipy.spatial import KDTree
 
 from depthmocap.calibration.pairs import geman_mcclure
-from depthmocap.calibration.solve import Rows
+from depthmocap.calibration.solve import ResidualRows
 from depthmocap.geometry import DepthCamera, transform_points
 
-#: Directions are of pixels this far to either side; steeper steps between them than of a surface seen at 79° are edges
-#: (tangent).
-_APART, _STEEP = 3, 5.0
-#: Surfaces seen at more than 75° are too noisy (cosine).
-_GRAZING = 0.26
-#: Surfaces are the same only if they face the same way (cosine).
-_ALIKE = 0.85
+#: Normals are computed from pixels this far to either side.
+_STEP = 3
+#: A steeper depth step than that of a surface seen at 79° (its tangent) is an edge.
+_EDGE_SLOPE = 5.0
+#: Least cosine between normal and line of sight: surfaces seen at more than 75° are too noisy.
+_LEAST_VIEW_COSINE = 0.26
+#: Least cosine between the normals of corresponding points.
+_LEAST_NORMAL_COSINE = 0.85
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Surface:
-    """Points and the directions their surface faces, towards the camera; in the camera's frame or the world."""
+    """Points (metres) and their normals towards the camera, in the camera's frame or the world."""
 
     points: Float[ndarray, "n 3"]
     normals: Float[ndarray, "n 3"]
 
-    def seen_from(self, world_from_camera: Float[ndarray, "4 4"]) -> Surface:
-        """The same in the world."""
+    def to_world(self, world_from_camera: Float[ndarray, "4 4"]) -> Surface:
+        """The surface in the world."""
         normals = self.normals @ world_from_camera[:3, :3].T
         return Surface(transform_points(world_from_camera, self.points), normals)
 
-    def thinned(self, most: int) -> Surface:
-        """Evenly chosen points, so many at most."""
-        every = max(-(-len(self.points) // most), 1)
-        return Surface(self.points[::every], self.normals[::every])
+    def subsampled(self, count: int) -> Surface:
+        """At most ``count`` of the points, evenly chosen."""
+        stride = max(-(-len(self.points) // count), 1)
+        return Surface(self.points[::stride], self.normals[::stride])
 
 
-def surface_of(
-    camera: DepthCamera, depth_m: Float[ndarray, "h w"], every: int, mask: Bool[ndarray, "h w"] | None = None
+def extract_surface(
+    camera: DepthCamera, depth_m: Float[ndarray, "h w"], stride: int, mask: Bool[ndarray, "h w"] | None = None
 ) -> Surface:
-    """The surface at every so many pixels, in the camera's frame, where it is smooth around them."""
+    """The surface in the camera's frame at every ``stride``-th pixel, where it is smooth.
+
+    Args:
+        mask: the pixels to use; by default all with depth.
+    """
     z = depth_m.astype(np.float64)
     points = np.concatenate([camera.rays.astype(np.float64) * z[..., None], z[..., None]], -1)
-    inner = np.s_[_APART:-_APART:every, _APART:-_APART:every]
+    inner = np.s_[_STEP:-_STEP:stride, _STEP:-_STEP:stride]
     known = (z > 0) & np.isfinite(points[..., 0])
     if mask is not None:
         known &= mask
-    right, left = points[:, 2 * _APART :], points[:, : -2 * _APART]
-    below, above = points[2 * _APART :], points[: -2 * _APART]
-    across, down = (right - left)[_APART:-_APART:every, ::every], (below - above)[::every, _APART:-_APART:every]
+    right, left = points[:, 2 * _STEP :], points[:, : -2 * _STEP]
+    below, above = points[2 * _STEP :], points[: -2 * _STEP]
+    across, down = (right - left)[_STEP:-_STEP:stride, ::stride], (below - above)[::stride, _STEP:-_STEP:stride]
     smooth = known[inner]
-    middle, after, before = slice(_APART, -_APART, every), slice(2 * _APART, None, every), slice(0, -2 * _APART, every)
-    edge = _STEEP * _APART / camera.fx * z[inner]
-    for beside in ((middle, after), (middle, before), (after, middle), (before, middle)):
-        smooth &= known[beside] & (np.abs(z[beside] - z[inner]) < edge)
+    middle, after, before = slice(_STEP, -_STEP, stride), slice(2 * _STEP, None, stride), slice(0, -2 * _STEP, stride)
+    edge = _EDGE_SLOPE * _STEP / camera.fx * z[inner]
+    for neighbour in ((middle, after), (middle, before), (after, middle), (before, middle)):
+        smooth &= known[neighbour] & (np.abs(z[neighbour] - z[inner]) < edge)
     normals = np.cross(down[smooth], across[smooth])  # towards the camera
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    found = points[inner][smooth]
-    facing = -(normals * found).sum(1) / np.linalg.norm(found, axis=1) > _GRAZING
-    return Surface(found[facing], normals[facing])
+    surface_points = points[inner][smooth]
+    facing = -(normals * surface_points).sum(1) / np.linalg.norm(surface_points, axis=1) > _LEAST_VIEW_COSINE
+    return Surface(surface_points[facing], normals[facing])
 
 
-def meeting_surfaces(
+def surface_rows(
     cameras: tuple[int, int], a: Surface, b: Surface, reach_m: float, expected_m: float, block: int = 0
-) -> Rows | None:
-    """Rows that say that nearest points of two surfaces, in the world, should meet along the normal.
+) -> ResidualRows | None:
+    """Residuals between nearest points of two surfaces in the world, along their mean normal.
 
     Args:
-        reach_m: points further apart are of different things.
-        expected_m: the distance along the normal to expect of the same thing.
+        reach_m: greatest distance of corresponding points (metres).
+        expected_m: expected distance along the normal (metres).
 
     Returns:
-        The rows, all of one block; None where the surfaces have nothing in common.
+        The rows, all in one block; None without corresponding points.
     """
     if not len(a.points) or not len(b.points):
         return None
-    distances, nearest = KDTree(b.points).query(a.points, distance_upper_bound=reach_m)
-    near = np.flatnonzero(np.isfinite(distances))
-    other = np.asarray(nearest)[near]
-    alike = (a.normals[near] * b.normals[other]).sum(1) > _ALIKE
-    near, other = near[alike], other[alike]
-    if not len(near):
+    neighbour_distances, nearest = KDTree(b.points).query(a.points, distance_upper_bound=reach_m)
+    indices_a = np.flatnonzero(np.isfinite(neighbour_distances))
+    indices_b = np.asarray(nearest)[indices_a]
+    similar = (a.normals[indices_a] * b.normals[indices_b]).sum(1) > _LEAST_NORMAL_COSINE
+    indices_a, indices_b = indices_a[similar], indices_b[similar]
+    if not len(indices_a):
         return None
-    normals = a.normals[near] + b.normals[other]
+    normals = a.normals[indices_a] + b.normals[indices_b]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    apart = np.abs(((a.points[near] - b.points[other]) * normals).sum(1))
-    weights = geman_mcclure(apart / expected_m) / expected_m**2
-    return Rows(cameras, a.points[near], b.points[other], normals, weights, np.full(len(near), block))
+    distances = np.abs(((a.points[indices_a] - b.points[indices_b]) * normals).sum(1))
+    weights = geman_mcclure(distances / expected_m) / expected_m**2
+    return ResidualRows(
+        cameras, a.points[indices_a], b.points[indices_b], normals, weights, np.full(len(indices_a), block)
+    )
