@@ -33,7 +33,7 @@ def test_results_take_the_place_of_links_and_not_of_what_they_lead_to(tmp_path: 
     with PoseFiles(out, TAKE) as files:
         for pose in poses():
             files.write(pose)
-    assert {each.name: each.read_text() for each in others.iterdir()} == dict.fromkeys(NAMES[:3], "precious")
+    assert {path.name: path.read_text() for path in others.iterdir()} == dict.fromkeys(NAMES[:3], "precious")
     assert not any((out / name).is_symlink() for name in NAMES)
     assert len(read_csv(out / "pose.csv")[0]) == 3
 

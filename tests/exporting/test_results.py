@@ -27,8 +27,8 @@ def poses(count: int, start: int = 0, seed: int = 0) -> list[Pose]:
     joints = moving_skeleton(count, np.random.default_rng(seed), bend_rad=0.3)
     confidence = np.full((count, 18), 0.9)
     joints[3:8, ARM], confidence[3:8, ARM] = joints[3:8, ARM] + 0.4, 0.1
-    stamps = START_NS + FRAME_NS * (start + np.arange(count))
-    return [Pose(*row) for row in zip(stamps.tolist(), joints, confidence, strict=True)]
+    timestamps_ns = START_NS + FRAME_NS * (start + np.arange(count))
+    return [Pose(*row) for row in zip(timestamps_ns.tolist(), joints, confidence, strict=True)]
 
 
 def write(folder: Path, least_confidence: float = 0.2) -> None:
@@ -71,19 +71,19 @@ def test_however_many_people_come_and_return_few_files_are_open_and_no_pose_is_l
 ) -> None:
     monkeypatch.setattr(files_module, "MOST_OPEN", 2)
     monkeypatch.setattr(files_module, "MOST_FOLDERS", 4)
-    files, own, before = Path("/dev/fd"), poses(12), 0
+    files, some_poses, before = Path("/dev/fd"), poses(12), 0
     with PeopleFiles(tmp_path, Take("run", ["somewhere"], "z", 0.2)) as everybody:
         if files.is_dir():
             before = len(list(files.iterdir()))
-        for i, pose in enumerate(own):
+        for i, pose in enumerate(some_poses):
             everybody.write({1 + i % 5: [pose]})
             assert not files.is_dir() or len(list(files.iterdir())) <= before + 2
     assert everybody.problems == ["more than 4 people were followed: those who came last have no folder"]
     assert sorted(path.name for path in tmp_path.iterdir()) == [f"person-{i}" for i in (1, 2, 3, 4)]
     for i in range(4):
-        stamps = [pose.timestamp_ns for pose in own[i::5]]
-        assert read_table(tmp_path / f"person-{1 + i}" / "pose.csv").stamps_ns.tolist() == stamps
-        assert read_summary(tmp_path / f"person-{1 + i}")["frames"] == len(stamps)
+        timestamps_ns = [pose.timestamp_ns for pose in some_poses[i::5]]
+        assert read_table(tmp_path / f"person-{1 + i}" / "pose.csv").stamps_ns.tolist() == timestamps_ns
+        assert read_summary(tmp_path / f"person-{1 + i}")["frames"] == len(timestamps_ns)
 
 
 def test_joints_hardly_seen_are_gaps_in_trc_and_held_in_bvh(taken: Path) -> None:
@@ -132,7 +132,7 @@ def test_hidden_hips_go_with_the_body(tmp_path: Path) -> None:
     off_m = np.linalg.norm(read_bvh(tmp_path / "pose.bvh")[1] - truth, axis=-1)
     torso = [JOINT_INDEX[name] for name in ("Spine", "Spine1", "Spine2", "Neck", "Head", "RHand")]
     assert off_m[:, torso].max() < 0.02  # though the hips turn and go metres
-    held = {joint for joint, found in read_summary(tmp_path)["bvh_held"].items() if found == [[0, FRAMES - 1]]}
+    held = {joint for joint, ranges in read_summary(tmp_path)["bvh_held"].items() if ranges == [[0, FRAMES - 1]]}
     assert held == {"Hip", "RHip", "LHip", "RKnee", "LKnee", "Spine"}  # the bones to the hips and from them
 
 

@@ -16,7 +16,7 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.classify.classifier import packaged_weights
 from depthmocap.cli import main
 from depthmocap.exporting import CsvWriter, read_bvh, read_csv, read_trc, write_trc
-from depthmocap.exporting.result_files import PICTURES, RESULTS
+from depthmocap.exporting.result_files import PICTURE_FILES, RESULT_FILES
 from depthmocap.exporting.summary import read_summary
 from depthmocap.geometry import DepthCamera, Rig, load_rig, look_at, save_rig
 from depthmocap.offline.run import _way_out
@@ -83,7 +83,7 @@ def test_nobody_can_be_told_and_no_path_is_text(recording, tmp_path, monkeypatch
         monkeypatch.setattr(sys, "stderr", full)
         options = ["--out", str(odd / "out"), "--segment", "none", "--weights", str(weights)]
         assert main(["run", str(source), *options]) == 0
-    assert {each.name for each in (odd / "out").iterdir()} >= set(RESULTS)
+    assert {each.name for each in (odd / "out").iterdir()} >= set(RESULT_FILES)
     summary = json.loads((odd / "out" / "summary.json").read_text(encoding="utf-8"))
     assert summary["sources"][0] == str(source) and summary["frames"] == 6
 
@@ -190,7 +190,7 @@ def test_signals_end_a_run_with_everything_written(recording, tmp_path, monkeypa
     assert main(["run", str(recording), "--out", str(out), "--segment", "none", "--smooth", "none"]) == 128 + number
     assert len(read_csv(out / "pose.csv")[0]) == len(read_trc(out / "pose.trc")[0]) == 2
     assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["interrupted"]
-    assert {path.name for path in out.iterdir()} == {*RESULTS, *PICTURES}
+    assert {path.name for path in out.iterdir()} == {*RESULT_FILES, *PICTURE_FILES}
 
 
 @pytest.mark.parametrize("factor", [1e-6, 1e-8])

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from depthmocap.cli import main
 from depthmocap.exporting import read_csv, read_trc
-from depthmocap.exporting.result_files import RESULTS
+from depthmocap.exporting.result_files import RESULT_FILES
 from depthmocap.offline import run as offline
 from depthmocap.realtime import live_capture as live
 from depthmocap.realtime import live_command as command
@@ -93,7 +93,7 @@ def test_after_a_kill_poses_are_there_and_the_next_run_is_right(recording, pipel
         assert ".lock" in left and any(".part-" in each for each in left)
         assert len(read_csv(tmp_path / name / "pose.csv")[0]) == SETS
         assert main(words(name, recording, tmp_path / name)) == 0
-        assert {path.name for path in (tmp_path / name).iterdir()} == {*RESULTS}
+        assert {path.name for path in (tmp_path / name).iterdir()} == {*RESULT_FILES}
         assert main(words(name, recording, tmp_path / "new" / name)) == 0
         for each in ("pose.csv", "pose.trc", "pose.bvh"):
             assert (tmp_path / name / each).read_bytes() == (tmp_path / "new" / name / each).read_bytes()

@@ -4,9 +4,9 @@ The objective: of the rotation ``R_j`` of every joint, in its parent's frame,
 
     minimise over R_j  sum over the children c of j  | v_c - R_parents R_j o_c |²
 
-with ``v_c`` the observed vector from joint to child and ``o_c`` the same in the rest skeleton. With several children
-that is an orthogonal Procrustes problem, solved by a singular value decomposition (Kabsch); with one, the twist about
-the bone is not observed, and the shortest rotation is taken.
+where ``v_c`` is the observed vector from the joint to the child and ``o_c`` the same vector in the rest skeleton. With
+several children this is an orthogonal Procrustes problem, solved by a singular value decomposition (Kabsch). With one
+child the twist about the bone is not observed, and the shortest rotation is used.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ CHILDREN: dict[str, tuple[str, ...]] = {
 
 _UP, _DOWN, _LEFT, _RIGHT = (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
 
-#: The rest skeleton: a T pose that faces +Z, Y up, the subject's left at +X. By joint, the direction from its parent,
-#: and an adult's length (m), used only for a bone that is never observed. At the joints with several children, Hip and
-#: Spine2, the directions are the person's own, turned to fit these as well as possible.
+#: The rest skeleton: a T pose that faces +Z, Y up, the subject's left at +X. For each joint the direction from its
+#: parent, and an adult's length (m), which is used only for a bone that is never observed. At the joints with several
+#: children, Hip and Spine2, the person's own directions are used, rotated to fit these best.
 REST: dict[str, tuple[tuple[float, float, float], float]] = {
     "Spine": (_UP, 0.10), "Spine1": (_UP, 0.12), "Spine2": (_UP, 0.12), "Neck": (_UP, 0.15), "Head": (_UP, 0.10),
     "RHip": ((-0.8, -0.6, 0.0), 0.11), "RKnee": (_DOWN, 0.42), "RFoot": (_DOWN, 0.40),
@@ -38,7 +38,7 @@ REST: dict[str, tuple[tuple[float, float, float], float]] = {
     "LShoulder": ((0.8, 0.6, 0.0), 0.20), "LElbow": (_LEFT, 0.27), "LHand": (_LEFT, 0.25),
 }  # fmt: skip
 
-#: Where the last bones end in the rest skeleton: the offset (m) from the joint. They are not observed.
+#: End sites of the last bones in the rest skeleton: offset (m) from the joint. They are not observed.
 END_SITES: dict[str, tuple[float, float, float]] = {
     "Head": (0.0, 0.20, 0.0),
     "RHand": (-0.18, 0.0, 0.0),
@@ -55,9 +55,9 @@ def _depth(joint: str) -> int:
 
 #: Joints by their distance from the root in the tree.
 _FROM_ROOT = sorted(range(len(JOINTS)), key=lambda i: _depth(JOINTS[i]))
-#: A shorter vector (m) has no direction.
+#: A vector shorter than this (m) has no direction.
 _SHORTEST_M = 1e-6
-#: Children nearly on one line leave the twist about it open: below this ratio of singular values it is not fitted.
+#: Least ratio of the singular values for a fit: children nearly on one line do not determine the twist about it.
 _LEAST_SPREAD = 0.01
 
 
@@ -74,7 +74,7 @@ def _bone_vectors(joints: Float[ndarray, "t 18 3"]) -> Float[ndarray, "t 18 3"]:
 
 
 def _fit_rotation(rest: Float[ndarray, "k 3"], observed: Float[ndarray, "t k 3"]) -> Float[ndarray, "t 3 3"]:
-    """Rotations that take the rest vectors closest to the observed ones; NaN where they leave it open."""
+    """Rotations that fit the rest vectors best to the observed ones; NaN where these do not determine them."""
     covariance = np.swapaxes(np.nan_to_num(observed), 1, 2) @ rest
     U, singular, Vt = np.linalg.svd(covariance)
     U[..., 2] *= np.sign(np.linalg.det(U @ Vt))[:, None]  # a rotation, not a reflection
@@ -87,31 +87,33 @@ def _shortest_rotation(rest: Float[ndarray, " 3"], observed: Float[ndarray, "t 3
     rotation = np.full((len(observed), 3, 3), np.nan)
     if np.linalg.norm(rest) <= _SHORTEST_M:
         return rotation
-    clear = np.linalg.norm(observed, axis=-1) > _SHORTEST_M  # False for NaN
-    rotation[clear] = rotation_between(np.broadcast_to(rest, (int(clear.sum()), 3)), observed[clear])
+    valid = np.linalg.norm(observed, axis=-1) > _SHORTEST_M  # False for NaN
+    rotation[valid] = rotation_between(np.broadcast_to(rest, (int(valid.sum()), 3)), observed[valid])
     return rotation
 
 
-def _held(values: Float[ndarray, "t ..."], default: Float[ndarray, " ..."] | None = None) -> Float[ndarray, "t ..."]:
-    """NaN replaced by the last good value; before the first by ``default``, or without one by the first itself."""
-    good = np.asarray(~np.isnan(values).any(axis=tuple(range(1, values.ndim))))
-    last = np.maximum.accumulate(np.where(good, np.arange(len(values)), -1))
-    before = values[np.argmax(good)] if default is None else default
-    return np.where((last < 0).reshape(-1, *[1] * (values.ndim - 1)), before, values[np.maximum(last, 0)])
+def _forward_filled(
+    values: Float[ndarray, "t ..."], default: Float[ndarray, " ..."] | None = None
+) -> Float[ndarray, "t ..."]:
+    """Values with NaN replaced by the last known value; before the first by ``default`` or, if None, by the first."""
+    known = np.asarray(~np.isnan(values).any(axis=tuple(range(1, values.ndim))))
+    last = np.maximum.accumulate(np.where(known, np.arange(len(values)), -1))
+    initial = values[np.argmax(known)] if default is None else default
+    return np.where((last < 0).reshape(-1, *[1] * (values.ndim - 1)), initial, values[np.maximum(last, 0)])
 
 
 def rest_offsets(joints_y_up: Float[ndarray, "t 18 3"]) -> Float[ndarray, "18 3"]:
     """The person's rest skeleton: each joint's offset (m) from its parent, zero for the root.
 
-    Lengths are medians over the recording; a bone that was never observed takes its mirror image's.
+    Lengths are medians over the recording. A bone that was never observed has the length of its mirror image.
     """
     vectors = _bone_vectors(joints_y_up)
     lengths_by_frame = np.linalg.norm(vectors, axis=-1)
     lengths = np.full(len(JOINTS), np.nan)
     for joint in REST:
-        seen = lengths_by_frame[:, JOINT_INDEX[joint]]
-        if not np.isnan(seen).all():
-            lengths[JOINT_INDEX[joint]] = np.nanmedian(seen)
+        observed_lengths = lengths_by_frame[:, JOINT_INDEX[joint]]
+        if not np.isnan(observed_lengths).all():
+            lengths[JOINT_INDEX[joint]] = np.nanmedian(observed_lengths)
     lengths = np.where(np.isnan(lengths), lengths[MIRROR], lengths)
 
     offsets = np.zeros((len(JOINTS), 3))
@@ -123,28 +125,28 @@ def rest_offsets(joints_y_up: Float[ndarray, "t 18 3"]) -> Float[ndarray, "18 3"
         if len(index) < 2:
             continue
         rotation = _fit_rotation(offsets[index], vectors[:, index])
-        unturned = vectors[:, index] @ rotation  # row vectors: R^T v
-        unturned = unturned[~np.isnan(unturned).any((1, 2))]
-        if len(unturned):
-            own = np.median(unturned, axis=0)
-            own_length = np.linalg.norm(own, axis=-1, keepdims=True)
-            own_length[own_length < _SHORTEST_M] = np.inf
-            offsets[index] = own / own_length * np.linalg.norm(offsets[index], axis=-1, keepdims=True)
+        rest_vectors = vectors[:, index] @ rotation  # row vectors: R^T v
+        rest_vectors = rest_vectors[~np.isnan(rest_vectors).any((1, 2))]
+        if len(rest_vectors):
+            directions = np.median(rest_vectors, axis=0)
+            norms = np.linalg.norm(directions, axis=-1, keepdims=True)
+            norms[norms < _SHORTEST_M] = np.inf
+            offsets[index] = directions / norms * np.linalg.norm(offsets[index], axis=-1, keepdims=True)
     return offsets
 
 
 def bone_rotations(
     joints_y_up: Float[ndarray, "t 18 3"], offsets: Float[ndarray, "18 3"]
 ) -> tuple[Float[ndarray, "t 18 3 3"], Float[ndarray, "t 3"], Bool[ndarray, "t 18"]]:
-    """Each joint's rotation in its parent's frame, the root's position (m), and the joints that were held, by frame.
+    """Each joint's rotation in its parent's frame, the root's position (m), and the mask of held joints, by frame.
 
-    What a frame does not observe keeps its rotation of the last frame that does, in its parent's frame, so that a
-    hidden arm moves with the body; before it is first observed it has that of the rest skeleton. A root that is not
-    observed follows the observed joint next to it; without any it keeps its position, and before the first it has that.
+    A rotation that a frame does not observe holds its last observed value in its parent's frame, so that a hidden arm
+    moves with the body; before its first observation it is that of the rest skeleton. An unobserved root follows the
+    nearest observed joint. Without any joint it holds its last position, and before the first one it has the first.
     """
     vectors = _bone_vectors(joints_y_up)
-    unseen = np.asarray(np.isnan(joints_y_up).any(-1))
-    held = unseen.copy()
+    unobserved = np.asarray(np.isnan(joints_y_up).any(-1))
+    held = unobserved.copy()
     local = np.zeros((len(joints_y_up), len(JOINTS), 3, 3))
     world = np.zeros_like(local)
     for joint, parent in PARENTS.items():
@@ -157,13 +159,13 @@ def bone_rotations(
                 rotation = _fit_rotation(offsets[children], in_parent)
             else:
                 rotation = _shortest_rotation(offsets[children[0]], in_parent[:, 0])
-            held[:, children] |= (unseen[:, i] | np.isnan(rotation[:, 0, 0]))[:, None]
-            local[:, i] = _held(rotation, np.eye(3))
+            held[:, children] |= (unobserved[:, i] | np.isnan(rotation[:, 0, 0]))[:, None]
+            local[:, i] = _forward_filled(rotation, np.eye(3))
         world[:, i] = world_from_parent @ local[:, i]
-    # Where the root is by each observed joint, the nearest in the tree first, which is the root itself.
+    # The root's position computed from each joint, in the order of their distance in the tree: the root itself first.
     roots = (joints_y_up - joint_positions(local, np.zeros((len(local), 3)), offsets))[:, _FROM_ROOT]
-    nearest = np.argmax(~unseen[:, _FROM_ROOT], axis=1)
-    return local, _held(roots[np.arange(len(roots)), nearest]), held
+    nearest = np.argmax(~unobserved[:, _FROM_ROOT], axis=1)
+    return local, _forward_filled(roots[np.arange(len(roots)), nearest]), held
 
 
 def joint_positions(
@@ -184,9 +186,9 @@ def joint_positions(
 
 
 def euler_zxy_deg(rotation: Float[ndarray, "t *n 3 3"]) -> Float[ndarray, "t *n 3"]:
-    """Angles (degrees) z, x, y of ``R = Rz Rx Ry``, without jumps of a turn between frames."""
+    """Euler angles (degrees) z, x, y of ``R = Rz Rx Ry``, without jumps of 360° between frames."""
     sin_x = np.clip(rotation[..., 2, 1], -1, 1)
-    locked = np.abs(sin_x) > 1 - 1e-9  # z and y turn about the same axis: all of it is given to z
+    locked = np.abs(sin_x) > 1 - 1e-9  # gimbal lock: z and y rotate about the same axis, and z gets the whole angle
     z = np.where(
         locked,
         np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0]),

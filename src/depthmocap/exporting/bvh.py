@@ -23,14 +23,14 @@ from depthmocap.exporting.bone_rotations import (
     joint_positions,
     rest_offsets,
 )
-from depthmocap.exporting.timeline import LEAST_CONFIDENCE, Y_UP_FROM_Z_UP, even_frames, timeline
+from depthmocap.exporting.timeline import LEAST_CONFIDENCE, Y_UP_FROM_Z_UP, timeline, uniform_frames
 from depthmocap.frames import Pose
 
 _CM = 100.0
 _ROTATIONS = "Zrotation Xrotation Yrotation"
 _CHANNELS = f"CHANNELS 3 {_ROTATIONS}"
 _ROOT_CHANNELS = f"CHANNELS 6 Xposition Yposition Zposition {_ROTATIONS}"
-#: Numbers beyond this are none of a skeleton.
+#: Larger numbers cannot belong to a skeleton.
 _LARGEST = 1e12
 
 
@@ -65,20 +65,20 @@ def _hierarchy(joint: str, offsets_cm: Float[ndarray, "18 3"], indent: str = "")
 def write_bvh(
     path: Path, poses: Sequence[Pose], up: str, least_confidence: float = LEAST_CONFIDENCE
 ) -> Bool[ndarray, "n 18"]:
-    """Write poses whose world has the up axis ``up`` ("z", "y" or "-y"); returns the joints that were held, by frame.
+    """Write poses whose world has the up axis ``up`` ("z", "y" or "-y"); returns the mask of held joints, by frame.
 
-    BVH has one frame time: the poses' typical interval. Frames are the nearest poses in time, from the first pose on;
-    regular poses are taken one by one. Where a joint, the whole person or the frame itself is missing, or a joint's
-    confidence is below ``least_confidence``, the bones it determines hold their last rotation (the rest pose's before
-    they were first seen). Bone lengths are medians over the recording (:func:`rest_offsets`), so the joints of the file
-    differ from the poses by as much as the estimated lengths vary.
+    BVH has one frame time: the poses' typical interval. Each frame shows the nearest pose in time, from the first pose
+    on. Where a joint, the whole person or the frame is missing, or a joint's confidence is below ``least_confidence``,
+    the bones that it determines hold their last rotation; before their first observation that of the rest pose. Bone
+    lengths are medians over the recording (:func:`rest_offsets`). The joints of the file therefore differ from the
+    poses by as much as the estimated lengths vary.
 
     Raises:
         InputError: when there is no pose, none shows a person, timestamps do not increase or pause for very long, or
             the file cannot be written.
     """
     line = timeline(poses, up, least_confidence)
-    source, repeated = even_frames(line)
+    source, repeated = uniform_frames(line)
     offsets = rest_offsets(line.joints_y_up)
     local, root, held = bone_rotations(line.joints_y_up[source], offsets)
     angles_deg = euler_zxy_deg(local)[:, _ORDER].reshape(len(source), -1)
@@ -96,35 +96,35 @@ def write_bvh(
 
 
 def _read_offsets(lines: list[str]) -> Float[ndarray, "18 3"]:
-    """Offsets (cm) of the hierarchy; ValueError where it is not the one that ``write_bvh`` writes."""
+    """Offsets (cm) of the hierarchy; ValueError if it is not the hierarchy that ``write_bvh`` writes."""
     offsets = np.zeros((len(JOINTS), 3))
     order: list[str] = []
-    path_to_here: list[str] = []
-    here = ""
+    ancestors: list[str] = []
+    joint = ""
     for line in lines:
         words = line.split()
         if words[0] in ("ROOT", "JOINT"):
-            here = words[1]
-            if PARENTS.get(here, "") != (path_to_here[-1] if path_to_here else None):
-                raise ValueError(f"unexpected joint {here}")
-            order.append(here)
+            joint = words[1]
+            if PARENTS.get(joint, "") != (ancestors[-1] if ancestors else None):
+                raise ValueError(f"unexpected joint {joint}")
+            order.append(joint)
         elif words[0] == "End":
-            here = ""
+            joint = ""
         elif words[0] == "{":
-            path_to_here.append(here)
+            ancestors.append(joint)
         elif words[0] == "}":
-            path_to_here.pop()
-        elif words[0] == "OFFSET" and here:
-            offsets[JOINT_INDEX[here]] = [float(word) for word in words[1:4]]
-        elif words[0] == "CHANNELS" and " ".join(words) != (_ROOT_CHANNELS if here == ROOT else _CHANNELS):
-            raise ValueError(f"unexpected channels of {here}")
+            ancestors.pop()
+        elif words[0] == "OFFSET" and joint:
+            offsets[JOINT_INDEX[joint]] = [float(word) for word in words[1:4]]
+        elif words[0] == "CHANNELS" and " ".join(words) != (_ROOT_CHANNELS if joint == ROOT else _CHANNELS):
+            raise ValueError(f"unexpected channels of {joint}")
     if [JOINT_INDEX[name] for name in order] != _ORDER:
         raise ValueError("other joints, or in another order")
     return offsets
 
 
 def read_bvh(path: Path) -> tuple[Float[ndarray, " t"], Float[ndarray, "t 18 3"]]:
-    """Times (s) and joints (m, Z up) of a file that ``write_bvh`` wrote; other skeletons are refused.
+    """Times (s) and joints (m, Z up) of a file that ``write_bvh`` wrote; other skeletons are rejected.
 
     Raises:
         InputError: when the file is missing, or is not such a file.

@@ -12,13 +12,13 @@ from depthmocap.recordings.pose_table import HEADER
 
 
 class CsvWriter:
-    """Writes poses one by one, each at once and whole, so that a run that is cut off keeps what was done.
+    """Writes each pose at once as a whole line, so that an interrupted run keeps its poses.
 
-    ``timestamp_ns`` is a pose's time on the frames' clock, and ``time_s`` counts from ``origin_ns`` on that clock, by
+    ``timestamp_ns`` is a pose's time on the frames' clock. ``time_s`` counts from ``origin_ns`` on that clock, by
     default from the first pose. An unobserved joint is written ``nan``.
 
     Attributes:
-        origin_ns: may be set until the first pose is written.
+        origin_ns: can be set until the first pose is written.
 
     Raises:
         InputError: when the file cannot be written.
@@ -41,8 +41,8 @@ class CsvWriter:
             self._file.close()
             self._file = None
 
-    def rest(self) -> None:
-        """Hold no file open until the next pose."""
+    def release(self) -> None:
+        """Close the file until the next pose."""
         if self._file is not None:
             self._file.close()
 
@@ -63,7 +63,7 @@ class CsvWriter:
 
 
 def write_csv(path: Path, poses: Sequence[Pose]) -> None:
-    """Write all poses (see :class:`CsvWriter`).
+    """Write all poses, as :class:`CsvWriter` does.
 
     Raises:
         InputError: when the file cannot be written.

@@ -1,4 +1,4 @@
-"""Files of a take whose length nobody knows: poses go to disk as they come, and the rest is made of them at the end."""
+"""The result files of a take of unknown length: poses are written as they come, the other files at the end."""
 
 from __future__ import annotations
 
@@ -15,38 +15,41 @@ from depthmocap.core.output import make_inner_folder, writing
 from depthmocap.errors import InputError
 from depthmocap.exporting.bvh import write_bvh
 from depthmocap.exporting.pose_csv import CsvWriter
-from depthmocap.exporting.summary import PoseNumbers, Summary, Take, make_summary, stretches, write_summary
+from depthmocap.exporting.summary import PoseStatistics, Summary, Take, frame_ranges, make_summary, write_summary
 from depthmocap.exporting.trc import write_trc
 from depthmocap.frames import Pose
 from depthmocap.recordings.pose_table import TIME, read_table
 
-#: What ``run`` and ``live`` write into a folder and into those of people; ``run`` pictures, too.
-RESULTS = ("pose.csv", "pose.trc", "pose.bvh", "summary.json")
-PICTURES = ("report.html", "preview.webp")
-#: So many files of people are open at a time, and so many people have a folder.
-MOST_OPEN, MOST_FOLDERS = 16, 1000
-NOBODY = "no person was found in any set"
+#: The files that ``run`` and ``live`` write into the folder of results and into the folder of each person.
+RESULT_FILES = ("pose.csv", "pose.trc", "pose.bvh", "summary.json")
+#: The files that ``run`` also writes.
+PICTURE_FILES = ("report.html", "preview.webp")
+#: Most files of people open at a time: systems limit open files.
+MOST_OPEN = 16
+#: Most people with a folder: false tracks must not fill a disk with folders.
+MOST_FOLDERS = 1000
+NO_PERSON = "no person was found in any set"
 _PERSON = re.compile(r"person-\d+")
 
 
 def remove_results(folder: Path) -> None:
-    """Remove what an earlier ``run`` or ``live`` wrote into a folder, so that nothing of it stands beside what is
-    written now, or alone should that fail. Pictures and folders of people are its where a ``pose.csv`` of ours is
-    beside or in them; all else stays.
+    """Remove the results of an earlier ``run`` or ``live`` from a folder, so that they do not mix with new results or
+    remain if writing fails. Pictures are removed only beside a ``pose.csv`` of depthmocap, and folders of people only
+    with one in them. All other files stay.
 
     Raises:
         InputError: when something cannot be removed.
     """
     with writing(folder):
-        for each in (folder, *folder.iterdir()):
-            if each != folder and (not _PERSON.fullmatch(each.name) or each.is_symlink() or not each.is_dir()):
+        for path in (folder, *folder.iterdir()):
+            if path != folder and (not _PERSON.fullmatch(path.name) or path.is_symlink() or not path.is_dir()):
                 continue
-            ours = _is_poses(each / "pose.csv")
-            for name in (*RESULTS, *PICTURES) if ours else RESULTS if each == folder else ():
-                (each / name).unlink(missing_ok=True)
-            if ours and each != folder:
+            has_poses = _is_poses(path / "pose.csv")
+            for name in (*RESULT_FILES, *PICTURE_FILES) if has_poses else RESULT_FILES if path == folder else ():
+                (path / name).unlink(missing_ok=True)
+            if has_poses and path != folder:
                 with contextlib.suppress(OSError):  # it holds something else
-                    each.rmdir()
+                    path.rmdir()
 
 
 def _is_poses(path: Path) -> bool:
@@ -57,17 +60,18 @@ def _is_poses(path: Path) -> bool:
 
 
 class PoseFiles:
-    """pose.csv while running; pose.trc, pose.bvh and summary.json at the end, however it comes. A context manager.
+    """Writes pose.csv while running, and pose.trc, pose.bvh and summary.json at the end, also after an error. A context
+    manager.
 
     Attributes:
-        numbers: what summary.json gets besides what follows from the poses, by its keys; add to it before the end.
+        numbers: values of summary.json that do not follow from the poses, by its keys; add to it before the end.
     """
 
     def __init__(self, folder: Path | None, take: Take, person: int | None = None) -> None:
         """
         Args:
-            folder: None writes nothing, and makes the summary alone.
-            person: the number of the one whose poses these are, where several people are followed.
+            folder: None writes nothing, and only makes the summary.
+            person: the number of the person, if several people are tracked.
 
         Raises:
             InputError: when the folder cannot be written.
@@ -80,13 +84,13 @@ class PoseFiles:
         self._folder, self._take, self._person = folder, take, person
         self._csv: CsvWriter | None = None
         self._last_ns: int | None = None
-        self._poses = PoseNumbers(take.least_confidence)
+        self._statistics = PoseStatistics(take.least_confidence)
         self._summary: Summary | None = None
         self.numbers: dict[str, Any] = {}
 
     @property
     def summary(self) -> Summary:
-        """What summary.json holds, at the end."""
+        """The content of summary.json, available at the end."""
         assert self._summary is not None, "the files are still open"
         return self._summary
 
@@ -96,19 +100,19 @@ class PoseFiles:
         return self
 
     def write(self, pose: Pose) -> None:
-        """Append a pose; one that is not later than the last is not written."""
+        """Append a pose; a pose that is not later than the last is skipped."""
         if self._last_ns is None or pose.timestamp_ns > self._last_ns:
             origin_ns = self._take.begin(pose.timestamp_ns)
             if self._csv is not None:
                 self._csv.origin_ns = origin_ns
                 self._csv.write(pose)
-            self._poses.add(pose)
+            self._statistics.add(pose)
             self._last_ns = pose.timestamp_ns
 
-    def rest(self) -> None:
-        """Hold no file open until the next pose."""
+    def release(self) -> None:
+        """Close the file until the next pose."""
         if self._csv is not None:
-            self._csv.rest()
+            self._csv.release()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -120,47 +124,47 @@ class PoseFiles:
 
     def _finish(self, cut_off: bool) -> None:
         problems = dict(self.numbers.pop("problems", {}))
-        numbers = {**self.numbers, **self._poses.summary()}
+        numbers = {**self.numbers, **self._statistics.summary()}
         numbers["interrupted"] = self.numbers.get("interrupted", False) or cut_off
         if self._last_ns is not None:
             try:
-                numbers |= self._animate()
-            except InputError as error:  # pose.csv is whole in any case
+                numbers |= self._write_animations()
+            except InputError as error:  # pose.csv is complete in any case
                 problems[str(error)] = 1
         self._summary = make_summary(self._take, {**numbers, "problems": problems}, self._person)
         if self._folder is not None:
             write_summary(self._folder, self._summary)
 
-    def _animate(self) -> dict[str, Any]:
-        """Write the animations; returns what the summary tells of them."""
-        if self._poses.gaps == self._poses.frames:
-            raise InputError(NOBODY)
+    def _write_animations(self) -> dict[str, Any]:
+        """Write the animations; returns their values of the summary."""
+        if self._statistics.gaps == self._statistics.frames:
+            raise InputError(NO_PERSON)
         if self._folder is None:
             return {}
-        # Read back instead of kept: hours of poses do not belong into memory.
+        # Read back rather than kept, because hours of poses would fill the memory.
         poses, take = read_table(self._folder / "pose.csv").poses(), self._take
         write_trc(self._folder / "pose.trc", poses, take.up, take.least_confidence, take.origin_ns)
         try:
             held = write_bvh(self._folder / "pose.bvh", poses, take.up, take.least_confidence)
         except InputError as error:
             raise InputError(f"no pose.bvh: {error}") from None
-        by_joint = {joint: stretches(held[:, i]) for i, joint in enumerate(JOINTS)}
+        by_joint = {joint: frame_ranges(held[:, i]) for i, joint in enumerate(JOINTS)}
         return {
             "bvh_start_s": (poses[0].timestamp_ns - take.begin(poses[0].timestamp_ns)) * 1e-9,
-            "bvh_held": {joint: found for joint, found in by_joint.items() if found},
+            "bvh_held": {joint: ranges for joint, ranges in by_joint.items() if ranges},
         }
 
 
 class PeopleFiles:
-    """A folder ``person-N`` of :class:`PoseFiles` for everybody who is followed. A context manager.
+    """A folder ``person-N`` of :class:`PoseFiles` for each tracked person. A context manager.
 
     Attributes:
-        problems: what a user should know, one line each.
+        problems: for the user, one line each.
     """
 
     def __init__(self, folder: Path, take: Take) -> None:
         self._folder, self._take = folder, take
-        self._files: dict[int, PoseFiles] = {}  # in the order in which they were written last
+        self._files: dict[int, PoseFiles] = {}  # the one written last is at the end
         self.problems: list[str] = []
 
     def __enter__(self) -> PeopleFiles:
@@ -172,7 +176,7 @@ class PeopleFiles:
         Raises:
             InputError: when a file cannot be written.
         """
-        for number, own in poses.items():
+        for number, person_poses in poses.items():
             if number not in self._files and len(self._files) == MOST_FOLDERS:
                 self.problems = [f"more than {MOST_FOLDERS} people were followed: those who came last have no folder"]
                 continue
@@ -182,14 +186,14 @@ class PeopleFiles:
                 make_inner_folder(folder)
                 files = PoseFiles(folder, self._take, number).__enter__()
             self._files[number] = files
-            for pose in own:
+            for pose in person_poses:
                 files.write(pose)
             if len(self._files) > MOST_OPEN:
-                list(self._files.values())[-1 - MOST_OPEN].rest()
+                list(self._files.values())[-1 - MOST_OPEN].release()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with finishing(), contextlib.ExitStack() as stack:  # all of them, also where one cannot be written
+        with finishing(), contextlib.ExitStack() as stack:  # closes all of them, even if one cannot be written
             for files in self._files.values():
                 stack.callback(files.__exit__, kind, error, trace)

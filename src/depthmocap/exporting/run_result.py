@@ -1,4 +1,4 @@
-"""What a run or a live capture comes to, for programs."""
+"""The result of a run or a live capture, for programs."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class RunResult:
     """The results of ``run`` or ``live``.
 
     Attributes:
-        folder: where pose.csv, pose.trc, pose.bvh and summary.json lie; None where nothing was written.
-        summary: what summary.json holds.
+        folder: contains pose.csv, pose.trc, pose.bvh and summary.json; None if nothing was written.
+        summary: the content of summary.json.
     """
 
     folder: Path | None
@@ -25,24 +25,24 @@ class RunResult:
 
     @property
     def frames(self) -> int:
-        """Poses that were made, those without a person among them."""
+        """Number of poses, including those without a person."""
         return self.summary["frames"]
 
     @property
     def gaps(self) -> int:
-        """Poses in which nobody was found."""
+        """Number of poses without a person."""
         return self.summary["gaps"]
 
     @property
     def problems(self) -> list[str]:
-        """What a user should know, one line each."""
+        """Problems for the user, one line each."""
         return problem_lines(self.summary["problems"])
 
     def poses(self) -> list[Pose]:
         """The poses, read from pose.csv.
 
         Raises:
-            InputError: when nothing was written, or the file is not there any more.
+            InputError: when nothing was written, or the file no longer exists.
         """
         if self.folder is None:
             raise InputError("no poses were written: give a folder for them (out)")

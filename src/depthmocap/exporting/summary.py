@@ -1,6 +1,6 @@
-"""``summary.json``: what came of a take, of all of it or of one person; the same keys whoever wrote it.
+"""``summary.json``: the summary of a take, or of one person in it, with the same keys from ``run`` and ``live``.
 
-docs/guides/export.md says what they mean. A number that cannot be told is null.
+docs/guides/export.md explains the keys. An unknown number is null.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ from depthmocap.core.output import plain_json, write_json
 from depthmocap.errors import InputError
 from depthmocap.frames import Pose
 
-#: Of the keys and what they mean; one more whenever a key goes or changes its meaning.
+#: Version of the keys; it increases when a key is removed or changes its meaning.
 SCHEMA = 1
 SUMMARY_FILE = "summary.json"
-#: Intervals between poses by which the rate of a recording is told.
+#: Number of intervals between poses that the frame rate is computed from.
 _INTERVALS = 1000
 
 
 class Quantiles(TypedDict):
-    """Of milliseconds."""
+    """Quantiles of a duration (milliseconds)."""
 
     p50: float
     p95: float
 
 
 class Problem(TypedDict):
-    """What a user should know, in one line, and how often it was so."""
+    """A problem for the user in one line, and how often it occurred."""
 
     text: str
     times: int
 
 
-#: First and last frame (from 0), both included, of each stretch of frames.
-Stretches = list[list[int]]
+#: First and last frame (from 0, both included) of each range of frames.
+FrameRanges = list[list[int]]
 
 
 class Summary(TypedDict):
@@ -59,13 +59,13 @@ class Summary(TypedDict):
     interrupted: bool
     frames: int
     gaps: int
-    gap_frames: Stretches
+    gap_frames: FrameRanges
     recorded_frames_per_second: float | None
     mean_confidence: float | None
     least_confidence: float
     unsure_joints: dict[str, int]
     bvh_start_s: float | None
-    bvh_held: dict[str, Stretches]
+    bvh_held: dict[str, FrameRanges]
     smoothing: dict[str, Any] | None
     seconds: float | None
     frames_per_second: float | None
@@ -84,14 +84,14 @@ class Summary(TypedDict):
 
 
 class Take:
-    """What all results of one take share.
+    """What all result files of one take share.
 
     Attributes:
-        command: that makes them.
-        sources: recordings or cameras, as they were named.
+        command: the command that writes them.
+        sources: recordings or cameras, as the user named them.
         up: the world's up axis.
-        least_confidence: joints below it are gaps in TRC, and held in BVH.
-        origin_ns: the timestamp of ``time_s`` = 0 in every file; None until the first set.
+        least_confidence: joints with less are gaps in TRC, and held in BVH.
+        origin_ns: the timestamp of ``time_s`` = 0 in every file; None before the first frame set.
     """
 
     def __init__(
@@ -108,26 +108,26 @@ class Take:
         self.origin_ns: int | None = None
 
     def begin(self, timestamp_ns: int) -> int:
-        """The timestamp of ``time_s`` = 0, which is that of the first call."""
+        """The timestamp of ``time_s`` = 0: that of the first call."""
         if self.origin_ns is None:
             self.origin_ns = timestamp_ns
         return self.origin_ns
 
 
-class PoseNumbers:
-    """Numbers of a sequence of poses, taken one by one; memory grows with the stretches without anybody alone."""
+class PoseStatistics:
+    """Statistics of a sequence of poses, added one by one; memory grows only with the number of gaps."""
 
     def __init__(self, least_confidence: float) -> None:
         self._least = least_confidence
         self.frames = 0
-        self._gaps: Stretches = []
+        self._gaps: FrameRanges = []
         self._confidence = 0.0
         self._unsure = np.zeros(len(JOINTS), np.int64)
         self._intervals_ns: list[int] = []
         self._last_ns: int | None = None
 
     def add(self, pose: Pose) -> None:
-        """Take one pose."""
+        """Add one pose."""
         observed = np.isfinite(pose.joints).all(-1)
         if not observed.any():
             if self._gaps and self._gaps[-1][1] == self.frames - 1:
@@ -143,11 +143,11 @@ class PoseNumbers:
 
     @property
     def gaps(self) -> int:
-        """Poses without a joint."""
+        """Number of poses without a joint."""
         return sum(last - first + 1 for first, last in self._gaps)
 
     def summary(self) -> dict[str, Any]:
-        """Keys of :class:`Summary` that follow from the poses."""
+        """The values of :class:`Summary` that follow from the poses, by key."""
         interval_ns = float(np.median(self._intervals_ns)) if self._intervals_ns else 0.0
         return {
             "frames": self.frames,
@@ -162,13 +162,13 @@ class PoseNumbers:
 
 
 def make_summary(take: Take, numbers: Mapping[str, Any], person: int | None = None) -> Summary:
-    """The summary of a take, or of one person in it, as it is written: NaN is None, and tuples are lists.
+    """The summary of a take, or of one person in it, ready for JSON: NaN is None, and tuples are lists.
 
     Args:
-        numbers: by keys of :class:`Summary`, whatever is known; ``problems`` as texts with how often each was so.
+        numbers: known values by key of :class:`Summary`; ``problems`` as texts with the number of their occurrences.
 
     Raises:
-        ValueError: for a key that is none of a summary's.
+        ValueError: for a key that a summary does not have.
     """
     from depthmocap.core.version import __version__
 
@@ -227,7 +227,7 @@ def read_summary(path: Path) -> Summary:
     """The summary of a file, or of a folder of results.
 
     Raises:
-        InputError: when there is none, it is none, or was written by another version that wrote other keys.
+        InputError: when the file is missing, is not a summary, or was written by a version with other keys.
     """
     path = path / SUMMARY_FILE if path.is_dir() else path
     try:
@@ -240,10 +240,10 @@ def read_summary(path: Path) -> Summary:
 
 
 def check_summary(path: Path, document: Any) -> Summary:
-    """The document that a file holds, if it is a summary.
+    """The parsed content of a file, if it is a summary.
 
     Raises:
-        InputError: see :func:`read_summary`.
+        InputError: as :func:`read_summary`.
     """
     schema = document.get("schema") if isinstance(document, dict) else None
     if schema is None:
@@ -256,29 +256,29 @@ def check_summary(path: Path, document: Any) -> Summary:
 
 
 def count_problems(*lists: Iterable[str]) -> collections.Counter[str]:
-    """How often each problem was told, in the order in which they came."""
-    return collections.Counter(problem for each in lists for problem in each)
+    """The number of occurrences of each problem, in the order of the first ones."""
+    return collections.Counter(problem for problems in lists for problem in problems)
 
 
 def problem_lines(problems: Sequence[Problem]) -> list[str]:
-    """Problems as a user reads them."""
-    return [each["text"] + (f" ({each['times']} times)" if each["times"] > 1 else "") for each in problems]
+    """Problems as lines for the user."""
+    return [problem["text"] + (f" ({problem['times']} times)" if problem["times"] > 1 else "") for problem in problems]
 
 
-def unsure_lines(summary: Summary, most: int = 4) -> list[str]:
-    """Which joints were too unsure for TRC and BVH, for a user to read; none where all were sure enough."""
+def unsure_lines(summary: Summary, shown: int = 4) -> list[str]:
+    """Lines for the user on joints whose confidence is too low for TRC and BVH; none if there are no such joints."""
     counts = sorted(summary["unsure_joints"].items(), key=lambda item: -item[1])
     if not counts:
         return []
-    named = ", ".join(f"{joint} in {count} frames" for joint, count in counts[:most])
-    more = f" and {len(counts) - most} other joints" if len(counts) > most else ""
+    named = ", ".join(f"{joint} in {count} frames" for joint, count in counts[:shown])
+    more = f" and {len(counts) - shown} other joints" if len(counts) > shown else ""
     return [
         f"confidence below {summary['least_confidence']:g} (--least-confidence), so that pose.trc has a gap and "
         f"pose.bvh holds the bone: {named}{more}"
     ]
 
 
-def stretches(marked: Bool[ndarray, " t"]) -> Stretches:
-    """Where marks are set, from first to last, both included."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
+def frame_ranges(mask: Bool[ndarray, " t"]) -> FrameRanges:
+    """The ranges of frames in a mask."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return [[int(first), int(end) - 1] for first, end in edges.reshape(-1, 2)]

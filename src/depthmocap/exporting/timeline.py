@@ -1,4 +1,4 @@
-"""Poses as arrays in a Y-up world, and their even spacing in time, for the animation formats."""
+"""Poses as arrays in a Y-up world, and their uniform sampling in time, for the animation formats."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ from depthmocap.geometry import z_up_from
 #: Rotation into the Y-up world of TRC and BVH files from our Z-up world.
 Y_UP_FROM_Z_UP = z_up_from("y").T
 
-#: Joints with less confidence were hardly seen: docs/guides/export.md has the measurement.
+#: Joints with less confidence were hardly observed: docs/guides/export.md has the measurement.
 LEAST_CONFIDENCE = 0.2
-#: The frame interval given to a recording of a single pose.
+#: The frame interval of a recording of a single pose (seconds).
 SINGLE_FRAME_S = 1 / 30
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Timeline:
-    """A recording's joints, metres, Y up, NaN where unobserved or too unsure; times in seconds from the origin."""
+    """A recording's joints (metres, Y up, NaN where unobserved or of low confidence), times from the origin and frame
+    interval (seconds)."""
 
     times_s: Float[ndarray, " t"]
     joints_y_up: Float[ndarray, "t 18 3"]
@@ -36,12 +37,12 @@ def timeline(
 ) -> Timeline:
     """Stack poses whose world has the up axis ``up`` ("z", "y" or "-y").
 
-    ``frame_s`` is the mean interval after the gaps are divided into median intervals: a median alone would drift
-    when timestamps are rounded to milliseconds (33, 33, 34, …).
+    ``frame_s`` is the mean interval, with gaps divided into median intervals. The median alone would drift for
+    timestamps rounded to milliseconds (33, 33, 34, …).
 
     Args:
-        least_confidence: a joint below it is taken for unobserved.
-        origin_ns: the timestamp from which times count; by default that of the first pose.
+        least_confidence: a joint with less counts as unobserved.
+        origin_ns: the timestamp of time 0; by default that of the first pose.
 
     Raises:
         InputError: when there is no pose, none shows a person, or the timestamps do not increase.
@@ -63,8 +64,8 @@ def timeline(
     times_s = (timestamps_ns - (timestamps_ns[0] if origin_ns is None else origin_ns)) * 1e-9
     intervals_s = np.diff(times_s)
     if (intervals_s <= 0).any():
-        at = int(np.argmax(intervals_s <= 0)) + 1
-        raise InputError(f"the poses' timestamps must increase, but pose {at} is not later than pose {at - 1}")
+        index = int(np.argmax(intervals_s <= 0)) + 1
+        raise InputError(f"the poses' timestamps must increase, but pose {index} is not later than pose {index - 1}")
     frame_s = SINGLE_FRAME_S
     if len(poses) > 1:
         steps = np.maximum(np.rint(intervals_s / np.median(intervals_s)), 1)
@@ -72,20 +73,20 @@ def timeline(
     return Timeline(times_s, joints @ (Y_UP_FROM_Z_UP @ z_up_from(up)).T, frame_s)
 
 
-def even_frames(line: Timeline) -> tuple[Int[ndarray, " n"], Bool[ndarray, " n"]]:
-    """The pose to show in each of evenly spaced frames, and whether it is shown again in place of a lost one.
+def uniform_frames(line: Timeline) -> tuple[Int[ndarray, " n"], Bool[ndarray, " n"]]:
+    """The index of the pose in each of evenly spaced frames, and whether it is repeated for a lost frame.
 
-    It is the nearest pose, or the last one where none is within half an interval. Regular timestamps give 0, 1, 2, ….
+    It is the nearest pose, or the last one if none is within half an interval. Regular timestamps give 0, 1, 2, ….
 
     Raises:
-        InputError: when pauses would fill the file with copies of one pose.
+        InputError: when long pauses would fill the file with copies of one pose.
     """
     count = int(np.rint((line.times_s[-1] - line.times_s[0]) / line.frame_s)) + 1
     if count > 20 * len(line.times_s) + 1000:
-        after = int(np.diff(line.times_s).argmax())
-        longest_s = line.times_s[after + 1] - line.times_s[after]
+        longest = int(np.diff(line.times_s).argmax())
+        longest_s = line.times_s[longest + 1] - line.times_s[longest]
         raise InputError(
-            f"the recording pauses for {longest_s:.0f} s after frame {after} (from 0), which evenly spaced frames "
+            f"the recording pauses for {longest_s:.0f} s after frame {longest} (from 0), which evenly spaced frames "
             "would fill with copies of it: record its parts one by one, or take out what does not belong to it"
         )
     frame_times_s = line.times_s[0] + np.arange(count) * line.frame_s

@@ -20,7 +20,7 @@ _KEYS = (
     "DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units", "OrigDataRate", "OrigDataStartFrame", "OrigNumFrames",
 )  # fmt: skip
 _HEADER_LINES = 5
-#: Numbers beyond this are none of a skeleton.
+#: Larger numbers cannot belong to a skeleton.
 _LARGEST = 1e12
 
 
@@ -33,8 +33,8 @@ def write_trc(
 ) -> None:
     """Write poses whose world has the up axis ``up`` ("z", "y" or "-y").
 
-    Times are the poses' own, from ``origin_ns`` on their clock (by default the first pose is at 0); the rates in the
-    header come from their typical interval. A marker that is missing, or whose confidence is below
+    Times are those of the poses, from ``origin_ns`` on their clock (by default the first pose is at 0). The rates in
+    the header follow from their typical interval. A marker that is missing, or whose confidence is below
     ``least_confidence``, is three empty cells, which OpenSim reads as NaN.
 
     Raises:
@@ -46,7 +46,7 @@ def write_trc(
     count = str(len(poses))
     values = (rate, rate, count, str(len(JOINTS)), "mm", rate, "1", count)
     axes = [f"{axis}{i + 1}" for i in range(len(JOINTS)) for axis in "XYZ"]
-    # OpenSim ends its own lines with a tab, and counts the cells of a row whose last marker is missing by it.
+    # OpenSim ends lines with a tab. It needs the tab to count the cells of a row whose last marker is missing.
     lines = [
         f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
         "\t".join(_KEYS),

@@ -21,7 +21,7 @@ from depthmocap.core.console import Terminal
 from depthmocap.core.interrupts import finishing
 from depthmocap.core.locks import owns
 from depthmocap.errors import InputError
-from depthmocap.exporting.result_files import NOBODY, PeopleFiles, PoseFiles, remove_results
+from depthmocap.exporting.result_files import NO_PERSON, PeopleFiles, PoseFiles, remove_results
 from depthmocap.exporting.run_result import RunResult
 from depthmocap.exporting.summary import Quantiles, Summary, Take, count_problems, problem_lines, unsure_lines
 from depthmocap.exporting.timeline import LEAST_CONFIDENCE
@@ -114,7 +114,7 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
         raise KeyboardInterrupt
     summary = files.summary
     if summary["gaps"] == summary["frames"]:
-        others = [line for line in problem_lines(summary["problems"]) if line != NOBODY]
+        others = [line for line in problem_lines(summary["problems"]) if line != NO_PERSON]
         hint = joined(others) or _way_out(source, settings.segment)
         raise InputError(f"{settings.recording}: no person was found in any of {summary['frames']} frames: {hint}")
     if pictures is not None:
