@@ -1,4 +1,4 @@
-"""Charts for reports, as PNG files in memory, on white. They are drawn at twice the size they are shown at."""
+"""Charts for reports, as PNG files in memory, on white. They are drawn at twice the size at which they are shown."""
 
 from __future__ import annotations
 
@@ -19,23 +19,30 @@ from numpy import ndarray
 from depthmocap.body.regions import REGION_NAMES
 from depthmocap.report.metrics import CURVE_THRESHOLDS_CM, JointMetrics, Reliability
 
-INK, SOFT, _GRID = "#2a2f35", "#6b737c", "#e4e5e2"
+#: Colour of text and important lines.
+INK = "#2a2f35"
+#: Colour of axes and less important text.
+SOFT = "#6b737c"
+_GRID = "#e4e5e2"
+#: Colours of data series.
 COLOURS = ("#c4452f", "#2f6fb5", "#3f8f5b", "#8a5bb0", "#b8862b", "#4d5661")
+#: Resolution at which a chart is shown (dots per inch).
 _DPI = 100
+#: Factor by which it is drawn larger, for sharp screens.
 _SCALE = 2
 
 
 def new_figure(width: float, height: float, columns: int = 1) -> tuple[Figure, list[Axes]]:
-    """A figure of a size in inches at 100 dots each, as shown, and its axes; without pyplot's global state."""
+    """A figure of a size in inches (shown at 100 dots per inch) and its axes, without pyplot's global state."""
     figure = Figure(figsize=(width, height), dpi=_DPI * _SCALE, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     axes = [figure.add_subplot(1, columns, i + 1) for i in range(columns)]
-    for each in axes:
-        each.spines[["top", "right"]].set_visible(False)
-        each.spines[["left", "bottom"]].set_color(SOFT)
-        each.tick_params(colors=SOFT, labelsize=9, length=3)
-        each.grid(axis="y", color=_GRID, linewidth=0.8)
-        each.set_axisbelow(True)
+    for panel in axes:
+        panel.spines[["top", "right"]].set_visible(False)
+        panel.spines[["left", "bottom"]].set_color(SOFT)
+        panel.tick_params(colors=SOFT, labelsize=9, length=3)
+        panel.grid(axis="y", color=_GRID, linewidth=0.8)
+        panel.set_axisbelow(True)
     return figure, axes
 
 
@@ -49,13 +56,16 @@ def _legend(axes: Axes) -> None:
 
 
 def label_of(name: str) -> str:
-    """A name as the label of what is drawn; the legend leaves out labels that begin with an underscore."""
+    """A name as a label for the legend, which would leave out names that begin with an underscore."""
     return f" {name}" if name.startswith("_") else name
 
 
 def as_png(figure: Figure) -> bytes:
-    """The figure as a PNG file. Names of others may be in any of its texts: none is set as a formula, and letters that
-    the font lacks are shown as boxes without a word."""
+    """The figure as a PNG file.
+
+    Its texts may contain any names: none is read as a formula, and letters that the font lacks are shown as boxes
+    without a warning.
+    """
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
         text.set_parse_math(False)
@@ -67,7 +77,7 @@ def as_png(figure: Figure) -> bytes:
 
 
 def joint_error_bars(metrics: JointMetrics) -> bytes:
-    """A bar per joint: its mean error (cm), and its standard deviation above; a joint without an estimate has none."""
+    """A bar for each joint: mean error (cm), with the standard deviation above; no bar without an estimate."""
     names = list(metrics.per_joint_error_cm)
     means = np.nan_to_num(np.array([metrics.per_joint_error_cm[name] for name in names]))
     deviations = np.nan_to_num(np.array([metrics.per_joint_deviation_cm[name] for name in names]))
@@ -86,10 +96,10 @@ def joint_error_bars(metrics: JointMetrics) -> bytes:
 
 
 def precision_curve(metrics: Mapping[str, JointMetrics]) -> bytes:
-    """Share of the joints within each distance of the truth, a curve per label."""
+    """Share of the joints within each distance of the ground truth, a curve for each label."""
     figure, (axes,) = new_figure(6.4, 3.6)
-    for i, (label, each) in enumerate(metrics.items()):
-        shares = np.array(each.curve) * 100
+    for i, (label, joint_metrics) in enumerate(metrics.items()):
+        shares = np.array(joint_metrics.curve) * 100
         axes.plot(CURVE_THRESHOLDS_CM, shares, color=COLOURS[i % 6], linewidth=2, label=label_of(label))
     axes.axvline(10, color=SOFT, linewidth=0.8, linestyle=(0, (4, 3)))
     axes.set_xlim(0, CURVE_THRESHOLDS_CM[-1])
@@ -100,27 +110,28 @@ def precision_curve(metrics: Mapping[str, JointMetrics]) -> bytes:
     return as_png(figure)
 
 
-def reliability_diagram(found: Mapping[str, Reliability]) -> bytes:
-    """Share of the joints within 10 cm against their confidence, a line per label; marks grow with the joints in a
-    bin."""
+def reliability_diagram(reliabilities: Mapping[str, Reliability]) -> bytes:
+    """Share of the joints within 10 cm against their confidence, a line for each label. The size of a marker grows with
+    the number of joints in its bin."""
     figure, (axes,) = new_figure(4.6, 4.2)
     axes.plot([0, 100], [0, 100], color=SOFT, linewidth=0.8, linestyle=(0, (4, 3)))
-    for i, (label, each) in enumerate(found.items()):
-        x, y, joints = np.array(each.confidence) * 100, np.array(each.within_10cm) * 100, np.array(each.joints)
-        name = f"{label}: off by {each.calibration_error:.1%}" if joints.size else label
+    for i, (label, bins) in enumerate(reliabilities.items()):
+        x, y, joints = np.array(bins.confidence) * 100, np.array(bins.within_10cm) * 100, np.array(bins.joints)
+        name = f"{label}: off by {bins.calibration_error:.1%}" if joints.size else label
         axes.plot(x, y, color=COLOURS[i % 6], linewidth=1.4, label=label_of(name))
         sizes = 12 + 120 * np.sqrt(joints / max(joints.sum(), 1))
         axes.scatter(x, y, s=sizes, color=COLOURS[i % 6], clip_on=False, zorder=3)
     axes.set_xlim(0, 101)
     axes.set_ylim(0, 101)
     name_axes(axes, "confidence (%)", "joints within 10 cm (%)")
-    if found:
+    if reliabilities:
         _legend(axes)
     return as_png(figure)
 
 
 def confusion_picture(confusion: Integer[ndarray, "44 44"]) -> bytes:
-    """Predicted regions of each true region, as shares of its pixels; a square root makes small ones visible."""
+    """The confusion matrix: predicted regions as shares of each true region's pixels, on a square-root scale that shows
+    small shares."""
     totals = confusion.sum(1, keepdims=True)
     shares = np.divide(confusion, totals, out=np.zeros(confusion.shape), where=totals > 0)[1:]
     figure, (axes,) = new_figure(8.4, 7.6)
@@ -137,23 +148,23 @@ def confusion_picture(confusion: Integer[ndarray, "44 44"]) -> bytes:
 
 
 def loss_curves(history: Sequence[Mapping[str, Any]]) -> bytes:
-    """Training against ``step``: on the left every key with "loss" in its name, on the right those with "accuracy".
+    """Training curves against ``step``: keys with "loss" in their names on the left, keys with "accuracy" on the right.
 
-    An entry need not have every key (validation is rarer than training). Accuracies are shares, 0–1.
+    An entry need not have every key, because validation is rarer than training. Accuracies are shares, 0–1.
     """
     figure, axes = new_figure(8.4, 3.2, 2)
     keys = list(dict.fromkeys(key for entry in history for key in entry))
-    for each, word, factor, name in ((axes[0], "loss", 1, "loss"), (axes[1], "accuracy", 100, "accuracy (%)")):
+    for panel, word, factor, name in ((axes[0], "loss", 1, "loss"), (axes[1], "accuracy", 100, "accuracy (%)")):
         for i, key in enumerate(key for key in keys if word in key):
             points = [(entry["step"], entry[key] * factor) for entry in history if entry.get(key) is not None]
-            # Few values, as of validation, are marked: a line alone would hide where they were measured.
+            # Few values, as of validation, have markers: a line alone would not show where they were measured.
             marker = "o" if len(points) < 25 else ""
             steps, values = zip(*points, strict=True)
             label = key.replace("_", " ")
-            each.plot(steps, values, color=COLOURS[i % 6], linewidth=1.6, marker=marker, markersize=3.5, label=label)
-        name_axes(each, "step", name)
-        each.xaxis.set_major_locator(MaxNLocator(5))
-        each.xaxis.set_major_formatter(EngFormatter(sep=""))
-        if each.lines:
-            _legend(each)
+            panel.plot(steps, values, color=COLOURS[i % 6], linewidth=1.6, marker=marker, markersize=3.5, label=label)
+        name_axes(panel, "step", name)
+        panel.xaxis.set_major_locator(MaxNLocator(5))
+        panel.xaxis.set_major_formatter(EngFormatter(sep=""))
+        if panel.lines:
+            _legend(panel)
     return as_png(figure)

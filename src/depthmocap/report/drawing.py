@@ -1,4 +1,4 @@
-"""Pictures of views, clouds and skeletons, as RGB arrays, and animations of them. Charts are in ``charts.py``."""
+"""Pictures of views, point clouds and skeletons, as RGB arrays, and animations of them. Charts are in ``charts.py``."""
 
 from __future__ import annotations
 
@@ -21,32 +21,37 @@ from depthmocap.frames import View
 from depthmocap.geometry import z_up_from
 from depthmocap.text import harmless, shortened
 
-#: The paper's colours (Fig. 7), lightened for a dark ground.
+#: The paper's colours (Fig. 7), lightened for a dark background.
 TRUTH_COLOUR = (92, 160, 255)
 ESTIMATE_COLOUR = (255, 84, 70)
 _GROUND = (18, 20, 24)
 _TEXT = (214, 218, 224)
 _FLOOR = (64, 70, 78)
 _UNLABELLED = (120, 120, 120)
-_MOST_POINTS = 15_000
+#: Gap between the two sides of a cloud (pixels).
+_GAP = 4
+#: Margin above and below it (pixels).
+_MARGIN = 22
+#: Most points of a cloud that are drawn.
+_POINTS_SHOWN = 15_000
 
 
 @functools.cache
 def _palette() -> UInt8[ndarray, "256 3"]:
-    """Colours of labels 0–255; what is not a region is grey."""
+    """Colours of labels 0–255; labels that are no region are grey."""
     palette = np.full((256, 3), _UNLABELLED, dtype=np.uint8)
     palette[: REGION_COUNT + 1] = DISPLAY_COLOURS
     return palette
 
 
-def _lift(colours: UInt8[ndarray, "*n 3"]) -> UInt8[ndarray, "*n 3"]:
-    """Colours made a little paler, so that dark regions are still seen when they are shaded."""
+def _lighten(colours: UInt8[ndarray, "*n 3"]) -> UInt8[ndarray, "*n 3"]:
+    """Lighter colours, so that dark regions stay visible when they are shaded."""
     return (45 + colours * (210 / 255)).astype(np.uint8)
 
 
 @functools.cache
 def _font(size: int) -> ImageFont.FreeTypeFont:
-    # The font that comes with matplotlib: the same everywhere, and not ASCII only.
+    # matplotlib's font: the same everywhere, with more letters than ASCII.
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size)
 
 
@@ -55,7 +60,7 @@ def _write_texts(
     texts: Sequence[tuple[tuple[int, int], str, tuple[int, int, int]]],
     size: int = 15,
 ) -> UInt8[ndarray, "h w 3"]:
-    """The picture with (x, y of the top left corner), text, colour written on it."""
+    """The picture with texts, each given by its top left corner (x, y), text and colour."""
     image = Image.fromarray(picture)
     draw = ImageDraw.Draw(image)
     for corner, text, colour in texts:
@@ -64,7 +69,7 @@ def _write_texts(
 
 
 def _near_to_far(depth_m: Float[ndarray, "h w"], where: Bool[ndarray, "h w"]) -> Float[ndarray, "h w"]:
-    """0 at the nearest and 1 at the farthest of the depths ``where``, outliers left out."""
+    """Depth scaled to 0 at the nearest and 1 at the farthest of the depths in ``where``, without outliers."""
     if not where.any():
         return np.zeros(depth_m.shape)
     near, far = np.percentile(depth_m[where], [1, 99])
@@ -76,7 +81,7 @@ def colour_labels(
 ) -> UInt8[ndarray, "h w 3"]:
     """Regions in their display colours; unlabelled pixels (255) are grey.
 
-    With depth (m), the person is darker farther away and what stands around the person is seen in dark grey.
+    With depth (m), farther parts of the person are darker, and the surroundings are dark grey.
     """
     picture = _palette()[labels]
     if depth_m is None:
@@ -85,11 +90,11 @@ def colour_labels(
     shade = 1 - 0.3 * _near_to_far(depth_m, person & (depth_m > 0))
     around = 60 - 35 * _near_to_far(depth_m, depth_m > 0)
     around = np.where(depth_m > 0, around, 0)[..., None]
-    return np.where(person[..., None], _lift(picture) * shade[..., None], around).astype(np.uint8)
+    return np.where(person[..., None], _lighten(picture) * shade[..., None], around).astype(np.uint8)
 
 
 def depth_picture(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"] | None = None) -> UInt8[ndarray, "h w 3"]:
-    """Depth (m) in colour, red near and blue far; invalid pixels are black. What a mask leaves out is grey."""
+    """Depth (m) in colour, red near and blue far; invalid pixels are black, and pixels outside the mask grey."""
     valid = depth_m > 0
     shown = valid if mask is None else valid & mask
     level = (255 * (0.95 - 0.85 * _near_to_far(depth_m, shown))).astype(np.uint8)
@@ -102,7 +107,7 @@ def depth_picture(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"] | N
 
 
 def _fit(picture: UInt8[ndarray, "h w 3"], width: int, height: int) -> UInt8[ndarray, "height width 3"]:
-    """The picture scaled to fit, centred on the ground colour."""
+    """The picture scaled to fit and centred on the background colour."""
     scale = min(width / picture.shape[1], height / picture.shape[0])
     size = (max(round(picture.shape[1] * scale), 1), max(round(picture.shape[0] * scale), 1))
     scaled = cv2.resize(picture, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_NEAREST)
@@ -113,7 +118,7 @@ def _fit(picture: UInt8[ndarray, "h w 3"], width: int, height: int) -> UInt8[nda
 
 
 def _person_window(person: Bool[ndarray, "h w"]) -> tuple[slice, slice]:
-    """Rows and columns of the person with some room around, in the shape of the image; all of it without a person."""
+    """Rows and columns of the person with a margin, in the image's proportions; the whole image without a person."""
     height, width = person.shape
     rows, columns = np.flatnonzero(person.any(1)), np.flatnonzero(person.any(0))
     if not len(rows):
@@ -129,30 +134,31 @@ def _person_window(person: Bool[ndarray, "h w"]) -> tuple[slice, slice]:
 def labelled_depth_strip(
     views: Sequence[View], labels: Sequence[UInt8[ndarray, "_h _w"] | None], width: int = 320
 ) -> UInt8[ndarray, "h w 3"]:
-    """One column per camera, ``width`` pixels wide: its name, its depth, and below it the labels where there are any.
+    """A column for each camera, ``width`` pixels wide: its name, its depth, and its labels if any.
 
-    Where a mask or labels show the person, the pictures are cut to it.
+    Where a mask or labels show the person, the pictures are cropped to it.
 
     Raises:
-        InputError: when there are no views, or not as many labels.
+        InputError: when there are no views, or the number of labels differs.
     """
     if not views or len(views) != len(labels):
         raise InputError(f"expected labels (or None) for each of at least one view, got {len(views)} and {len(labels)}")
     gap, line = 6, 26
     height = max(round(width * view.depth_m.shape[0] / view.depth_m.shape[1]) for view in views)
-    rows = 1 if all(each is None for each in labels) else 2
+    rows = 1 if all(image is None for image in labels) else 2
     strip = np.full((line + rows * (height + gap), len(views) * (width + gap) - gap, 3), _GROUND, dtype=np.uint8)
     texts = []
-    for i, (view, each) in enumerate(zip(views, labels, strict=True)):
+    for i, (view, image) in enumerate(zip(views, labels, strict=True)):
         left = i * (width + gap)
         name = shortened(harmless(view.camera.name), max(width // 10, 4))
         texts.append(((left + 6, 4), name, _TEXT))
         pictures = [depth_picture(view.depth_m, view.mask)]
-        if each is not None:
-            pictures.append(colour_labels(each, view.depth_m))
-        person = (
-            view.mask if view.mask is not None else each > 0 if each is not None else np.zeros(view.depth_m.shape, bool)
-        )
+        if image is not None:
+            pictures.append(colour_labels(image, view.depth_m))
+        if view.mask is not None:
+            person = view.mask
+        else:
+            person = np.zeros(view.depth_m.shape, bool) if image is None else image > 0
         window = _person_window(person)
         for row, picture in enumerate(pictures):
             top = line + row * (height + gap)
@@ -167,7 +173,7 @@ def _splat(
     colours: UInt8[ndarray, "n 3"],
     diameter: int,
 ) -> None:
-    """Draw points as squares, the near ones (small depth) over the far ones."""
+    """Draw points as squares, near points (small depth) over far ones."""
     height, width = canvas.shape[:2]
     order = np.argsort(-depth, kind="stable")
     steps = np.arange(diameter) - (diameter - 1) // 2
@@ -175,16 +181,16 @@ def _splat(
     u, v = (np.rint(pixels[order]).astype(np.int64)[:, None] + square).reshape(-1, 2).T
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     flat = canvas.reshape(-1, 3)
-    # Of values assigned to one pixel the last stays: the nearest point's.
+    # The last value assigned to a pixel stays: the nearest point's.
     flat[v[inside] * width + u[inside]] = np.repeat(colours[order], len(square), axis=0)[inside]
 
 
 def _draw_skeleton(
     canvas: UInt8[ndarray, "h w 3"], pixels: Float[ndarray, "18 2"], colour: tuple[int, int, int], thickness: int
 ) -> None:
-    """Bones and joints; those with an unobserved (NaN) end are left out."""
+    """Draw bones and joints, without those that are unobserved (NaN)."""
     shift = 4  # cv2's fractional bits: positions to a sixteenth of a pixel
-    # Far outside the canvas is as good as outside, and fits cv2's integers.
+    # Clipped far outside the canvas, to fit cv2's integers.
     fixed = [None if np.isnan(p).any() else tuple(int(x) for x in np.clip(p, -2000, 6000) * 2**shift) for p in pixels]
     for parent, child in BONES:
         a, b = fixed[JOINT_INDEX[parent]], fixed[JOINT_INDEX[child]]
@@ -224,15 +230,19 @@ def cloud_picture(
     """The labelled cloud (m) from two sides at right angles, with the true skeleton in blue and the estimate in red.
 
     The left half looks along +y of the Z-up world with x to the right, the right half along -x with y to the right,
-    both without perspective. ``size`` is (width, height) in pixels. ``bounds_m``, the lower and upper corner of what is
-    shown in the Z-up world, keeps the frames of an animation alike; without it the picture fits the person.
+    both without perspective.
+
+    Args:
+        size: width and height in pixels.
+        bounds_m: lower and upper corner of the volume shown, in the Z-up world, to have all frames of an animation at
+            one scale; by default it fits the person.
     """
     world = z_up_from(up).T
     points = points_world.astype(np.float64) @ world
     skeletons = [
-        (each.astype(np.float64) @ world, colour)
-        for each, colour in ((true_joints, TRUTH_COLOUR), (joints, ESTIMATE_COLOUR))
-        if each is not None
+        (skeleton.astype(np.float64) @ world, colour)
+        for skeleton, colour in ((true_joints, TRUTH_COLOUR), (joints, ESTIMATE_COLOUR))
+        if skeleton is not None
     ]
     finite = np.isfinite(points).all(1)
     points = points[finite]
@@ -240,42 +250,24 @@ def cloud_picture(
     if labels is None:
         colours = np.full((len(points), 3), 190, dtype=np.uint8)
     else:
-        colours = _lift(_palette()[np.clip(labels[finite], 0, 255)])
-    step = -(-len(points) // _MOST_POINTS) or 1
+        colours = _lighten(_palette()[np.clip(labels[finite], 0, 255)])
+    step = -(-len(points) // _POINTS_SHOWN) or 1
     points, colours = points[::step], colours[::step]
 
     width, height = size
-    gap = 4
-    panel = (width - gap) // 2
-    margin = 22
-    centre, extent = bounds.mean(0), np.maximum(bounds[1] - bounds[0], 0.1)
+    panel_width = (width - _GAP) // 2
+    extent = np.maximum(bounds[1] - bounds[0], 0.1)
     # One scale for both panels, so that a length is the same in both.
-    scale = min((height - 2 * margin) / extent[2], (panel - 8) / max(extent[0], extent[1]))
+    scale = min((height - 2 * _MARGIN) / extent[2], (panel_width - 8) / max(extent[0], extent[1]))
+    # Points touch each other when the person fills the panel.
+    diameter = int(np.clip(round(scale * extent[2] / 110), 1, 4))
     picture = np.full((height, width, 3), _GROUND, dtype=np.uint8)
-    for left, across, away in ((0, 0, 1), (width - panel, 1, 0)):
-        towards = 1 if away == 1 else -1  # from the side the camera stands at +x, and far is -x
-
-        def project(xyz: Float[ndarray, "k 3"], across: int = across) -> Float[ndarray, "k 2"]:
-            u = panel / 2 + (xyz[:, across] - centre[across]) * scale
-            return np.stack([u, height / 2 - (xyz[:, 2] - centre[2]) * scale], -1)
-
-        canvas = np.full((height, panel, 3), _GROUND, dtype=np.uint8)
-        floor = round(height / 2 + centre[2] * scale)
-        if 0 <= floor < height:
-            canvas[floor : floor + 1] = _FLOOR
-        near = towards * points[:, away]
-        if len(points):
-            shade = 1 - 0.3 * np.clip((near - near.min()) / max(np.ptp(near), 1e-3), 0, 1)
-            shaded = (colours * shade[:, None]).astype(np.uint8)
-            # Points touch each other when the person fills the panel.
-            diameter = int(np.clip(round(scale * extent[2] / 110), 1, 4))
-            _splat(canvas, project(points), near, shaded, diameter)
-        for skeleton, colour in skeletons:
-            _draw_skeleton(canvas, project(skeleton), colour, 2)
-        picture[:, left : left + panel] = canvas
+    for left, axis in ((0, 0), (width - panel_width, 1)):
+        canvas = picture[:, left : left + panel_width]
+        canvas[:] = _panel(points, colours, skeletons, axis, bounds.mean(0), scale, diameter, (panel_width, height))
     texts: list[tuple[tuple[int, int], str, tuple[int, int, int]]] = [
         ((8, 4), "front", _TEXT),
-        ((width - panel + 8, 4), "side", _TEXT),
+        ((width - panel_width + 8, 4), "side", _TEXT),
     ]
     names = {TRUTH_COLOUR: "truth", ESTIMATE_COLOUR: "estimate"}
     right = width - 8
@@ -285,8 +277,46 @@ def cloud_picture(
     return _write_texts(picture, texts, 13)
 
 
+def _panel(
+    points: Float[ndarray, "n 3"],
+    colours: UInt8[ndarray, "n 3"],
+    skeletons: Sequence[tuple[Float[ndarray, "18 3"], tuple[int, int, int]]],
+    axis: int,
+    centre: Float[ndarray, "3"],
+    scale: float,
+    diameter: int,
+    size: tuple[int, int],
+) -> UInt8[ndarray, "h w 3"]:
+    """The cloud and skeletons from one side, with ``axis`` (0: x, 1: y) to the right.
+
+    Args:
+        centre: the point (m) in the middle of the panel.
+        scale: pixels per metre.
+        diameter: of a point (pixels).
+        size: width and height in pixels.
+    """
+    width, height = size
+
+    def project(xyz: Float[ndarray, "k 3"]) -> Float[ndarray, "k 2"]:
+        u = width / 2 + (xyz[:, axis] - centre[axis]) * scale
+        return np.stack([u, height / 2 - (xyz[:, 2] - centre[2]) * scale], -1)
+
+    canvas = np.full((height, width, 3), _GROUND, dtype=np.uint8)
+    floor = round(height / 2 + centre[2] * scale)
+    if 0 <= floor < height:
+        canvas[floor : floor + 1] = _FLOOR
+    depth = points[:, 1] if axis == 0 else -points[:, 0]
+    if len(points):
+        shade = 1 - 0.3 * np.clip((depth - depth.min()) / max(np.ptp(depth), 1e-3), 0, 1)
+        shaded = (colours * shade[:, None]).astype(np.uint8)
+        _splat(canvas, project(points), depth, shaded, diameter)
+    for skeleton, colour in skeletons:
+        _draw_skeleton(canvas, project(skeleton), colour, 2)
+    return canvas
+
+
 def animation(frames: Sequence[UInt8[ndarray, "h w 3"]], fps: float | int, path: Path) -> None:
-    """Write frames as an endless animated WebP, which every current browser shows and which is a tenth of a GIF's size.
+    """Write frames as an endless animated WebP: all current browsers show it, and it has a tenth of a GIF's size.
 
     Raises:
         InputError: when there are no frames, their sizes differ, or the file cannot be written.

@@ -16,26 +16,27 @@ from depthmocap.errors import InputError
 
 #: Thresholds (cm) of the precision curve.
 CURVE_THRESHOLDS_CM: tuple[int, ...] = tuple(range(31))
-#: Bins of confidence in which it is compared with what came true.
+#: Number of bins of the confidence, in which it is compared with the joints' errors.
 CONFIDENCE_BINS = 10
 
 
 def joint_errors_cm(estimates: Float[ndarray, "t j 3"], truths: Float[ndarray, "t j 3"]) -> Float[ndarray, "t j"]:
-    """Distances (cm) between estimated and true joints (m), of the same frame and joint; NaN where either is NaN."""
+    """Distances (cm) between estimated and true joints (m) of the same frame and name; NaN where either is NaN."""
     return np.linalg.norm(estimates.astype(np.float64) - truths, axis=-1) * 100
 
 
 @dataclasses.dataclass(frozen=True)
 class JointMetrics:
-    """Joint errors over frames. Means and deviations are over the joints that were estimated and have a truth.
+    """Joint errors over frames.
 
-    The shares (0–1) are of the joints that have a truth: one that was not estimated is a miss. Where there is nothing
-    to count, a number is NaN.
+    Means and deviations are over the joints that have both an estimate and ground truth. The shares (0–1) are of the
+    joints with ground truth: a joint without an estimate is a miss. A number without any joints is NaN.
     """
 
     frames: int
-    #: Joints with a truth, over all frames, and those of them without an estimate.
+    #: Joints with ground truth, over all frames.
     observed: int
+    #: Those of them without an estimate.
     missing: int
     mean_joint_error_cm: float
     deviation_cm: float
@@ -49,7 +50,7 @@ class JointMetrics:
 
     @property
     def mean_ap_10cm(self) -> float:
-        """Mean over the joints of the share within 10 cm: every joint counts the same, however often it has a truth."""
+        """Mean over the joint names of the share within 10 cm: each name has the same weight."""
         shares = np.array(list(self.per_joint_within_10cm.values()))
         return float(shares[~np.isnan(shares)].mean()) if (~np.isnan(shares)).any() else float("nan")
 
@@ -57,7 +58,7 @@ class JointMetrics:
 def joint_metrics(
     estimates: Float[ndarray, "t j 3"], truths: Float[ndarray, "t j 3"], joints: Sequence[str] = JOINTS
 ) -> JointMetrics:
-    """Summarise the errors of estimated joints (m, NaN where there is none) against true ones (m, NaN if unknown).
+    """Metrics of estimated joints (m, NaN where missing) against true ones (m, NaN where unknown).
 
     Args:
         joints: their names.
@@ -92,14 +93,14 @@ def joint_metrics(
 
 @dataclasses.dataclass(frozen=True)
 class Reliability:
-    """Confidence against what came true: joints in bins of confidence, lowest first, without the empty ones.
+    """Confidence against errors: joints in bins of confidence, the lowest first, without empty bins.
 
     Attributes:
-        confidence: mean of each bin.
-        within_10cm: share (0–1) of its joints within 10 cm of the truth; a calibrated confidence equals it.
-        beyond_20cm: share of those further than 20 cm from it.
-        joints: how many it holds.
-        calibration_error: mean distance of the two over all joints; NaN without any.
+        confidence: mean confidence of each bin.
+        within_10cm: share (0–1) of the bin's joints within 10 cm of the truth; a calibrated confidence equals it.
+        beyond_20cm: share (0–1) of the bin's joints farther than 20 cm from the truth.
+        joints: number of joints in the bin.
+        calibration_error: mean difference between confidence and ``within_10cm`` over all joints; NaN without joints.
     """
 
     confidence: tuple[float, ...]
@@ -110,22 +111,22 @@ class Reliability:
 
 
 def reliability(confidence: Float[ndarray, "t j"], errors_cm: Float[ndarray, "t j"]) -> Reliability:
-    """Bins of the joints that have a confidence and an error; both NaN where unknown."""
+    """The reliability of the joints that have a confidence and an error; both are NaN where unknown."""
     known = ~(np.isnan(confidence) | np.isnan(errors_cm))
-    sure, errors_cm = confidence[known].astype(np.float64), errors_cm[known]
-    bins = np.minimum((sure * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
+    confidence, errors_cm = confidence[known].astype(np.float64), errors_cm[known]
+    bins = np.minimum((confidence * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
     count, sums, hits, misses = (
-        np.bincount(bins, each, CONFIDENCE_BINS) for each in (None, sure, errors_cm <= 10, errors_cm > 20)
+        np.bincount(bins, weights, CONFIDENCE_BINS) for weights in (None, confidence, errors_cm <= 10, errors_cm > 20)
     )
-    some = count > 0
-    means, near, far = sums[some] / count[some], hits[some] / count[some], misses[some] / count[some]
-    off = float((np.abs(means - near) * count[some]).sum() / count.sum()) if some.any() else float("nan")
-    shares = (tuple(each.tolist()) for each in (means, near, far))
-    return Reliability(*shares, joints=tuple(count[some].astype(int).tolist()), calibration_error=off)
+    filled = count > 0
+    means, near, far = sums[filled] / count[filled], hits[filled] / count[filled], misses[filled] / count[filled]
+    error = float((np.abs(means - near) * count[filled]).sum() / count.sum()) if filled.any() else float("nan")
+    shares = (tuple(values.tolist()) for values in (means, near, far))
+    return Reliability(*shares, joints=tuple(count[filled].astype(int).tolist()), calibration_error=error)
 
 
 def joint_numbers(metrics: JointMetrics, confidence: Reliability | None = None) -> dict[str, Any]:
-    """What every evaluation tells of its joints, under the same names."""
+    """The joint metrics of every evaluation's JSON file, by key."""
     numbers: dict[str, Any] = {
         "mean_joint_error_cm": metrics.mean_joint_error_cm,
         "deviation_cm": metrics.deviation_cm,
@@ -151,15 +152,15 @@ def _empty_confusion() -> Int[ndarray, "44 44"]:
 class PixelAccuracy:
     """Counts of predicted against true regions, over the pixels whose true region is 1–43.
 
-    True background (0) and unlabelled pixels (255) are left out; background predicted on the person is an error.
-    Where there is nothing to count, a number is NaN.
+    Pixels of true background (0) and unlabelled pixels (255) are left out. Background predicted on the person is an
+    error. A number without any pixels is NaN.
     """
 
     #: Pixels by true (row) and predicted (column) region.
     confusion: Int[ndarray, "44 44"] = dataclasses.field(default_factory=_empty_confusion)
 
     def add(self, labels_true: Integer[ndarray, "*n"], labels_predicted: Integer[ndarray, "*n"]) -> None:
-        """Count the pixels of an image or a batch of any shape.
+        """Count the pixels of an image or a batch, of any shape.
 
         Raises:
             InputError: when a counted pixel's prediction is not a region 0–43.
@@ -172,17 +173,17 @@ class PixelAccuracy:
         self.confusion += np.bincount(true * classes + predicted, minlength=classes**2).reshape(classes, classes)
 
     def merge(self, other: PixelAccuracy) -> PixelAccuracy:
-        """The counts of both, as of one accumulator that saw all the pixels."""
+        """The sum of both counts."""
         return PixelAccuracy(self.confusion + other.confusion)
 
     @property
     def pixels(self) -> int:
-        """Pixels counted."""
+        """Number of pixels counted."""
         return int(self.confusion.sum())
 
     @property
     def pixel_accuracy(self) -> float:
-        """Share (0–1) of the pixels with the true region predicted."""
+        """Share (0–1) of the pixels whose predicted region is the true one."""
         return float(np.trace(self.confusion) / self.pixels) if self.pixels else float("nan")
 
     @property
@@ -198,7 +199,7 @@ class PixelAccuracy:
 
     @property
     def side_swap(self) -> float:
-        """Share (0–1) of the pixels predicted as the mirror image of their true region (left for right)."""
+        """Share (0–1) of the pixels whose predicted region is the mirror image of the true one (left for right)."""
         if not self.pixels:
             return float("nan")
         regions = np.arange(REGION_COUNT + 1)

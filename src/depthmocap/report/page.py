@@ -1,4 +1,4 @@
-"""A report as one HTML file: no scripts, nothing loaded from elsewhere, light and dark, for a screen of any width."""
+"""A report as one HTML file, without scripts or external files; light and dark, for a screen of any width."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ figcaption { margin-top: 0.6rem; max-width: 42rem; }
 
 @dataclasses.dataclass(frozen=True)
 class ReportTable:
-    """Rows of text and numbers. Floats are shown with ``decimals`` digits; None and NaN as a dash."""
+    """Rows of text and numbers. Floats are shown with ``decimals`` digits, None and NaN as a dash."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[Cell]]
@@ -86,8 +86,8 @@ class ReportTable:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ReportFigure:
-    """An RGB array, or the bytes of a PNG, WebP, GIF or JPEG file. A ``chart`` has a white page, which the dark theme
-    inverts."""
+    """An RGB array, or the bytes of a PNG, WebP, GIF or JPEG file. A ``chart`` has a white background, which the dark
+    theme inverts."""
 
     image: UInt8[ndarray, "h w 3"] | bytes
     caption: str = ""
@@ -96,8 +96,8 @@ class ReportFigure:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ReportSection:
-    """Shown in this order: heading, paragraphs, tables, figures. All text is plain and is escaped; in paragraphs, what
-    stands between backticks is set as code."""
+    """Shown in this order: heading, paragraphs, tables, figures. All text is escaped; in paragraphs, text between
+    backticks is shown as code."""
 
     heading: str
     paragraphs: Sequence[str] = ()
@@ -106,7 +106,7 @@ class ReportSection:
 
 
 def _escape(text: str) -> str:
-    """Plain text as HTML; line breaks stay."""
+    """Plain text as HTML, with its line breaks."""
     return html.escape("\n".join(map(harmless, text.split("\n"))))
 
 
@@ -166,7 +166,7 @@ def _figure(figure: ReportFigure) -> str:
         width, height = opened.size
     source = f"data:{kind};base64,{base64.b64encode(data).decode()}"
     style = ' class="chart"' if figure.chart else ""
-    # Charts are drawn at twice the size they are shown at, for sharp screens.
+    # Charts are drawn at twice the size at which they are shown, for sharp screens.
     scale = 2 if figure.chart else 1
     caption = _escape(figure.caption)
     return (
@@ -180,7 +180,7 @@ def write_report(path: Path, title: str, sections: Sequence[ReportSection]) -> N
     """Write the report.
 
     Raises:
-        InputError: when a table row's length differs from its header's, a picture is of another kind, or the file
+        InputError: when a table row's length differs from its header's, a picture has another format, or the file
             cannot be written.
     """
     parts = []
