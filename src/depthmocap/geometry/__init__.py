@@ -1,6 +1,6 @@
 """Rigid transforms, depth cameras and rigs."""
 
-from depthmocap.geometry.depth_camera import DepthCamera, Rig, check_placed, load_rig, save_rig
+from depthmocap.geometry.depth_camera import DepthCamera, Rig, check_extrinsics, load_rig, save_rig
 from depthmocap.geometry.transforms import (
     is_rigid,
     look_at,
@@ -13,7 +13,7 @@ from depthmocap.geometry.transforms import (
 __all__ = [
     "DepthCamera",
     "Rig",
-    "check_placed",
+    "check_extrinsics",
     "is_rigid",
     "load_rig",
     "look_at",

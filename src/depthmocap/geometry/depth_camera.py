@@ -21,18 +21,22 @@ from depthmocap.core.reading.json_text import array, number, read_json, whole_nu
 from depthmocap.errors import InputError
 from depthmocap.geometry.transforms import is_rigid, rigid_inverse, transform_points
 
-#: No two cameras that see one person are this far apart (metres).
-FURTHEST_M = 100.0
-#: No camera is further from the world's origin (metres).
-_OUTERMOST_M = 1e6
-#: Focal lengths, principal points and lengths of a depth unit that are none of any depth camera lie outside.
-_FOCAL_PX, _CENTRE_PX, _UNIT_M = (1.0, 1e6, "pixels"), (-1e6, 1e6, "pixels"), (1e-7, 1.0, "metres")
-#: Share of the picture in which a lens can be undone: a half is that of the widest mode of an Azure Kinect.
-_LEAST_UNDONE = 0.3
-#: Columns and rows at which a lens model is tried.
+#: Largest distance of two cameras of a rig (metres): a larger one is in other units.
+LARGEST_RIG_M = 100.0
+#: Largest coordinate of a camera in the world (metres).
+_LARGEST_COORDINATE_M = 1e6
+#: Range of focal lengths.
+_FOCAL_PX = (1.0, 1e6, "pixels")
+#: Range of the coordinates of the principal point.
+_CENTRE_PX = (-1e6, 1e6, "pixels")
+#: Range of the length of a depth unit.
+_UNIT_M = (1e-7, 1.0, "metres")
+#: Least share of the image in which a lens model must be invertible: the widest mode of an Azure Kinect has a half.
+_LEAST_INVERTIBLE = 0.3
+#: Number of columns and rows at which a lens model is tested.
 _GRID = 64
-#: A camera is no more than so far (the sine) from looking straight up or down where its picture has no upright.
-_STEEP = 0.35
+#: Least length of the up direction in the image plane: a camera that looks straighter up or down has no upright image.
+_LEAST_UP = 0.35
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -54,7 +58,7 @@ class DepthCamera:
     depth_unit_m: float = 0.001
 
     def __post_init__(self) -> None:
-        """Raises InputError when the name cannot be a camera's."""
+        """Raises InputError for an invalid name."""
         check_camera_name(self.name)
 
     @property
@@ -80,14 +84,14 @@ class DepthCamera:
         return np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy], -1).astype(np.float32)
 
     def undistorted(self, pixels: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
-        """x/z and y/z of the rays through places (u, v), lens distortion removed; NaN where the lens model cannot be
-        inverted within a pixel."""
+        """x/z and y/z of the rays through image points (u, v), lens distortion removed; NaN where the lens model cannot
+        be inverted within a pixel."""
         rays = self.rays_through(pixels)
-        off = np.abs(self._pixels_of(rays) - pixels).max(-1)
-        return np.where((off < 1.0)[..., None], rays, np.nan)
+        errors_px = np.abs(self._project_rays(rays) - pixels).max(-1)
+        return np.where((errors_px < 1.0)[..., None], rays, np.nan)
 
     def rays_through(self, pixels: Float[ndarray, "n 2"]) -> Float[ndarray, "n 2"]:
-        """x/z and y/z of the rays through any places (u, v) of the picture, lens distortion removed."""
+        """x/z and y/z of the rays through image points (u, v), lens distortion removed."""
         if any(self.distortion) and len(pixels):
             return cv2.undistortPoints(pixels[:, None], self.matrix, np.array(self.distortion))[:, 0]
         return (pixels - [self.cx, self.cy]) / [self.fx, self.fy]
@@ -108,20 +112,21 @@ class DepthCamera:
         z = points_camera[..., 2]
         in_front = np.where(z > 0, z, np.nan)
         rays = points_camera[..., :2] / in_front[..., None]
-        return np.concatenate([self._pixels_of(rays), z[..., None]], -1)
+        return np.concatenate([self._project_rays(rays), z[..., None]], -1)
 
     def nearest_pixels(self, points_world: Float[ndarray, "n 3"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "n"]]:
-        """Row and column of the pixel that shows each point; -1 or just beyond the picture where none does."""
+        """Row and column of the pixel that shows each point; -1, or the height or width, for points outside the
+        image."""
         pixels = np.nan_to_num(self.project(points_world)[:, :2], nan=-1)
-        # What is far outside has no number of a pixel.
+        # Clipped, because points far outside overflow integers.
         column, row = np.rint(np.clip(pixels, -1, [self.width, self.height])).astype(np.int64).T
         return row, column
 
-    def _pixels_of(self, rays: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
+    def _project_rays(self, rays: Float[ndarray, "*n 2"]) -> Float[ndarray, "*n 2"]:
         """Pixels of rays (x/z, y/z), by OpenCV's lens model."""
         k1, k2, p1, p2, k3 = self.distortion
         x, y = rays[..., 0], rays[..., 1]
-        with np.errstate(over="ignore", invalid="ignore"):  # beside any picture
+        with np.errstate(over="ignore", invalid="ignore"):  # far outside the image
             r2 = x * x + y * y
             radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
             x_d = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
@@ -129,10 +134,10 @@ class DepthCamera:
         return np.stack([x_d * self.fx + self.cx, y_d * self.fy + self.cy], -1)
 
     def turned(self, quarters: int) -> DepthCamera:
-        """The camera whose picture is this one's turned anticlockwise by so many quarters, as ``np.rot90`` turns it."""
+        """The camera of the image rotated anticlockwise by a number of quarter turns, as by ``np.rot90``."""
         camera = self
         for _ in range(quarters % 4):
-            # (x, y) becomes (y, −x): the new picture's right is the old one's down.
+            # (x, y) becomes (y, −x): right in the new image is down in the old one.
             pose = camera.world_from_camera.copy()
             pose[:3, 0], pose[:3, 1] = camera.world_from_camera[:3, 1], -camera.world_from_camera[:3, 0]
             k1, k2, p1, p2, k3 = camera.distortion
@@ -144,17 +149,19 @@ class DepthCamera:
         return camera
 
     def quarters_upright(self, up_world: Float[ndarray, "3"]) -> int:
-        """By how many quarters anticlockwise (see :meth:`turned`) the picture is to be turned so that what is up in the
-        world is about up in it; 0 of a camera that looks nearly straight up or down, and of one whose pose is the
-        identity, which nobody has told."""
+        """Number of anticlockwise quarter turns (:meth:`turned`) that bring the world's up direction nearest to up in
+        the image.
+
+        0 for a camera that looks nearly straight up or down, and for an identity pose, which means unknown extrinsics.
+        """
         right, down, _ = self.world_from_camera[:3, :3].T @ up_world
-        if np.hypot(right, down) < _STEEP or np.array_equal(self.world_from_camera, np.eye(4)):
+        if np.hypot(right, down) < _LEAST_UP or np.array_equal(self.world_from_camera, np.eye(4)):
             return 0
-        # An up that points right in the picture is put right by a quarter anticlockwise.
+        # If up points right in the image, one anticlockwise quarter turn corrects it.
         return round(float(np.arctan2(right, -down)) / (np.pi / 2)) % 4
 
     def to_metres(self, raw: UInt16[ndarray, "h w"]) -> Float[ndarray, "h w"]:
-        """Raw sensor depth in metres (float32). Raw 0 stays 0, invalid; so does the saturated 65535."""
+        """Raw sensor depth in metres (float32). Raw 0 and the saturated 65535 are invalid: 0."""
         return np.where(raw == 65535, 0, raw).astype(np.float32) * np.float32(self.depth_unit_m)
 
 
@@ -205,14 +212,14 @@ def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
 
 
 def check_camera(camera: DepthCamera, where: str) -> None:
-    """See that what a file or a device tells of a camera can be.
+    """Check the parameters of a camera from a file or a device.
 
     Args:
-        where: it is told, for the message.
+        where: their source, for the message.
 
     Raises:
-        InputError: when the picture is none or too large, a number is not finite or can be none of a depth camera, the
-            lens can be undone in little of the picture, or the pose is not rigid.
+        InputError: when the image size or a number is out of range or not finite, the lens model is invertible only in
+            a small part of the image, or the pose is not rigid.
     """
     check_picture_size(camera.width, camera.height, f"{where}: the picture")
     bounds = {"fx": _FOCAL_PX, "fy": _FOCAL_PX, "cx": _CENTRE_PX, "cy": _CENTRE_PX, "depth_unit_m": _UNIT_M}
@@ -226,27 +233,27 @@ def check_camera(camera: DepthCamera, where: str) -> None:
             f"{where}: world_from_camera is not a rotation and a translation "
             "(columns of length 1 at right angles, determinant +1, last row 0 0 0 1); calibrate this camera again"
         )
-    if (away_m := float(np.abs(camera.world_from_camera[:3, 3]).max())) > _OUTERMOST_M:
-        raise InputError(f"{where}: the place in world_from_camera is {away_m:g} m away; it must be in metres")
-    if any(camera.distortion) and (undone := _undone_share(camera)) < _LEAST_UNDONE:
+    if (distance_m := float(np.abs(camera.world_from_camera[:3, 3]).max())) > _LARGEST_COORDINATE_M:
+        raise InputError(f"{where}: the place in world_from_camera is {distance_m:g} m away; it must be in metres")
+    if any(camera.distortion) and (invertible := _invertible_share(camera)) < _LEAST_INVERTIBLE:
         raise InputError(
-            f"{where}: distortion {list(camera.distortion)} can be undone in {100 * undone:.0f} % of the picture only; "
-            "give OpenCV's [k1, k2, p1, p2, k3], for x/z and y/z"
+            f"{where}: distortion {list(camera.distortion)} can be undone in {100 * invertible:.0f} % of the picture "
+            "only; give OpenCV's [k1, k2, p1, p2, k3], for x/z and y/z"
         )
 
 
-def _undone_share(camera: DepthCamera) -> float:
-    """In how much of the picture the lens model can be inverted, by a grid of its pixels."""
+def _invertible_share(camera: DepthCamera) -> float:
+    """Share of the image in which the lens model can be inverted, tested on a grid of pixels."""
     u, v = np.meshgrid(np.linspace(0, camera.width - 1, _GRID), np.linspace(0, camera.height - 1, _GRID))
     with np.errstate(all="ignore"):
         return float(np.isfinite(camera.undistorted(np.stack([u, v], -1).reshape(-1, 2))[:, 0]).mean())
 
 
-def check_placed(cameras: Iterable[DepthCamera]) -> None:
-    """See that nobody has left out to tell where the cameras stand.
+def check_extrinsics(cameras: Iterable[DepthCamera]) -> None:
+    """Check that the extrinsics of the cameras are known.
 
     Raises:
-        InputError: when two of them have the same pose.
+        InputError: when two cameras have the same pose.
     """
     by_pose: dict[bytes, str] = {}
     for camera in cameras:
@@ -260,7 +267,7 @@ def check_placed(cameras: Iterable[DepthCamera]) -> None:
 
 
 def load_rig(path: Path) -> Rig:
-    """Read ``rig.json``. A camera without ``world_from_camera`` is at the origin (see :func:`check_placed`).
+    """Read ``rig.json``. A camera without ``world_from_camera`` is at the origin (see :func:`check_extrinsics`).
 
     Raises:
         InputError: when the file is missing or malformed, a pose is not rigid, or two cameras share a name.
@@ -273,19 +280,19 @@ def load_rig(path: Path) -> Rig:
     names = [camera.name for camera in cameras]
     if len(set(names)) < len(names):
         raise InputError(f"{path}: camera names must differ, got {names}")
-    places = np.stack([camera.world_from_camera[:3, 3] for camera in cameras])
-    if (apart_m := float(np.linalg.norm(places - places[0], axis=1).max())) > FURTHEST_M:
+    positions = np.stack([camera.world_from_camera[:3, 3] for camera in cameras])
+    if (distance_m := float(np.linalg.norm(positions - positions[0], axis=1).max())) > LARGEST_RIG_M:
         raise InputError(
-            f"{path}: two cameras are {apart_m:,.0f} m apart; the places in world_from_camera must be in metres"
+            f"{path}: two cameras are {distance_m:,.0f} m apart; the places in world_from_camera must be in metres"
         )
     return Rig(cameras, check_up(document.get("up", "z"), str(path)))
 
 
 def check_up(up: Any, where: str) -> str:
-    """The axis of a world that points up, if it can be.
+    """The world's up axis, checked.
 
     Raises:
-        InputError: when it is another.
+        InputError: when it is not "z", "y" or "-y".
     """
     if up not in ("z", "y", "-y"):
         raise InputError(f'{where}: up must be "z", "y" or "-y", not {up!r}')

@@ -14,7 +14,7 @@ def transform_points(b_from_a: Float[ndarray, "4 4"], points_a: Float[ndarray, "
 
 
 def unit(vector: Float[ndarray, "3"]) -> Float[ndarray, "3"]:
-    """A vector's direction; zero where it has none."""
+    """The unit vector of the same direction; zero for the zero vector."""
     return vector / max(float(np.linalg.norm(vector)), 1e-9)
 
 
@@ -45,7 +45,7 @@ def look_at(
     forward = target_world - eye_world
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
-    if np.linalg.norm(right) < 1e-9:  # straight up or down: any right will do
+    if np.linalg.norm(right) < 1e-9:  # straight up or down: any direction is right
         right = np.array([1.0, 0.0, 0.0])
     right = right / np.linalg.norm(right)
     down = np.cross(forward, right)
@@ -60,7 +60,7 @@ def look_at(
 
 def rotation_between(a: Float[ndarray, "*n 3"], b: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3 3"]:
     """Shortest rotation that takes direction ``a`` to direction ``b`` (neither needs unit length)."""
-    a, b = a.astype(np.float64), b.astype(np.float64)  # near half a turn single precision is not enough
+    a, b = a.astype(np.float64), b.astype(np.float64)  # near 180° single precision is not enough
     a = a / np.linalg.norm(a, axis=-1, keepdims=True)
     b = b / np.linalg.norm(b, axis=-1, keepdims=True)
     axis = np.cross(a, b)
@@ -68,7 +68,7 @@ def rotation_between(a: Float[ndarray, "*n 3"], b: Float[ndarray, "*n 3"]) -> Fl
     zero = np.zeros(axis.shape[:-1])
     x, y, z = np.moveaxis(axis, -1, 0)
     cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*axis.shape[:-1], 3, 3)
-    opposite = cos < -1 + 1e-9  # half a turn about any perpendicular axis
+    opposite = cos < -1 + 1e-9  # 180° about any perpendicular axis
     rotation = np.eye(3) + cross + cross @ cross / np.where(opposite, 1.0, 1 + cos)
     if opposite.any():
         seed = np.where(np.abs(a[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])

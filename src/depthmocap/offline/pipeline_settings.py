@@ -9,7 +9,7 @@ from typing import Any
 from depthmocap.classify.classifier import Classifier
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSource
-from depthmocap.geometry import check_placed, load_rig
+from depthmocap.geometry import check_extrinsics, load_rig
 from depthmocap.offline.pipeline import Pipeline
 from depthmocap.pose.estimators import load_estimator
 from depthmocap.recordings.open_recording import open_recording
@@ -81,7 +81,7 @@ def load_pipeline(
     settings = dataclasses.replace(settings, **changes)
     source = open_source(source) if isinstance(source, Path | str) else source
     if isinstance(source, Recording):
-        check_placed(source.rig.cameras)
+        check_extrinsics(source.rig.cameras)
     smooth = settings.smooth
     if smooth == "auto":
         smooth = AUTO if source.continuous else "none"

@@ -19,7 +19,7 @@ from depthmocap.cameras.registry import make_sources
 from depthmocap.cameras.source import DepthSource
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, FrameSource, Pose
-from depthmocap.geometry import Rig, check_placed, load_rig
+from depthmocap.geometry import Rig, check_extrinsics, load_rig
 from depthmocap.offline.pipeline import Pipeline, Result
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline
 from depthmocap.pose.extrinsics_check import ExtrinsicsCheck
@@ -115,7 +115,7 @@ class LiveCapture:
                 compile_pipeline(self._make_pipeline)
         self.reader.start(self._tell)
         try:
-            check_placed(self.reader.cameras.values())
+            check_extrinsics(self.reader.cameras.values())
         except InputError:
             self.reader.stop()
             raise
