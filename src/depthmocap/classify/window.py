@@ -19,7 +19,7 @@ from PIL import Image
 
 from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.geometry.transforms import transform_points
-from depthmocap.kernels.box import box_of
+from depthmocap.kernels.box import bounding_box
 from depthmocap.kernels.resample_window import gather_depth, gather_labels, mark_supported, scatter_labels
 
 #: Longer side of the window (pixels).
@@ -114,7 +114,7 @@ def make_window(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], came
         depth_m: metres along z.
         mask: the person's pixels; pixels without depth and flying pixels are left out.
     """
-    box = box_of(mask)
+    box = bounding_box(mask)
     if box is None:
         return None
     # Only the bounding box from here on: full images would take most of the time.
@@ -124,7 +124,7 @@ def make_window(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], came
     depths = depth[solid]
     if len(depths) < MIN_PIXELS:
         return None
-    rows, columns = box_of(solid) or box
+    rows, columns = bounding_box(solid) or box
     corner = box[0].start, box[1].start
     top, bottom = corner[0] + rows.start, corner[0] + rows.stop
     left, right = corner[1] + columns.start, corner[1] + columns.stop

@@ -1,6 +1,6 @@
-"""Compiled inner loops (Numba): plain contiguous arrays in, plain arrays out, no validation.
+"""Compiled inner loops (Numba) on contiguous arrays, without validation.
 
-No file uses kernels of another: Numba's cache knows of changes in a kernel's own file alone.
+No file uses kernels of another file: Numba's cache only notices changes in a kernel's own file.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from depthmocap.core.caches import see_to_home, temporary_cache
 _save = FunctionCache.save_overload
 
 
-def _save_if_there_is_room(self: FunctionCache, sig: Any, data: Any) -> None:
-    """As Numba does: what is compiled runs, whether it can be kept or not."""
+def _save_if_possible(self: FunctionCache, sig: Any, data: Any) -> None:
+    """As Numba does, but without failing: a compiled function also runs if it cannot be cached."""
     try:
         _save(self, sig, data)
     except OSError as error:
-        _tell(str(self.cache_path), error.strerror or str(error))
+        _warn_once(str(self.cache_path), error.strerror or str(error))
 
 
 @functools.cache
-def _tell(place: str, reason: str) -> None:
+def _warn_once(folder: str, reason: str) -> None:
     logging.getLogger("depthmocap").warning(
         "Numba cannot keep what it compiles in %s (%s): free some space, or set NUMBA_CACHE_DIR to another folder",
-        place, reason,
+        folder, reason,
     )  # fmt: skip
 
 
-FunctionCache.save_overload = _save_if_there_is_room
+FunctionCache.save_overload = _save_if_possible
 
 
 def _probe() -> None:
-    """What Numba looks for a cache for."""
+    """A function to test whether Numba finds a folder for its cache."""
 
 
 see_to_home()

@@ -1,13 +1,13 @@
-"""Rays against simple solids: boxes, ellipsoids, capsules, cylinders and the inside of a box.
+"""Ray casting of simple solids: boxes, ellipsoids, capsules, cylinders and the inside of a box.
 
-A solid is a kind, a frame in which it is of unit size, and for capsules a length:
+A solid has a kind, a frame in which it has unit size, and for capsules a length:
 
-| kind | within its own frame |
+| kind | in its own frame |
 |---|---|
 | BOX | the cube −1…1 |
 | SHELL | the same cube, seen from inside |
 | ELLIPSOID | the unit ball |
-| CAPSULE | what is within 1 of the z axis between −half and +half |
+| CAPSULE | the points within 1 of the z axis between −half and +half |
 | CYLINDER | the unit disc in x and y, z in −1…1 |
 """
 
@@ -16,19 +16,19 @@ import numpy as np
 
 BOX, SHELL, ELLIPSOID, CAPSULE, CYLINDER = range(5)
 
-_MATH = {"contract", "arcp", "nsz", "reassoc"}  # not all of fastmath: what misses is infinitely far
+_MATH = {"contract", "arcp", "nsz", "reassoc"}  # not all of fastmath: a ray that misses has an infinite depth
 
 
 @numba.njit(inline="always", fastmath=_MATH, error_model="numpy")
-def _guard(d):
-    """A direction's component that can be divided by; a ray along a face is bent by nothing one could measure."""
+def _nonzero(d):
+    """A component of a direction, changed immeasurably if it is 0, so that it can be divided by."""
     return d if abs(d) > 1e-12 else 1e-12
 
 
 @numba.njit(inline="always", fastmath=_MATH, error_model="numpy")
 def _box_span(o0, o1, o2, d0, d1, d2):
-    """Where a ray o + t d enters and leaves the cube; it leaves before it enters when it misses."""
-    i0, i1, i2 = 1 / _guard(d0), 1 / _guard(d1), 1 / _guard(d2)
+    """The t at which a ray o + t d enters and leaves the cube; the second is smaller if the ray misses."""
+    i0, i1, i2 = 1 / _nonzero(d0), 1 / _nonzero(d1), 1 / _nonzero(d2)
     m0, m1, m2 = -o0 * i0, -o1 * i1, -o2 * i2
     h0, h1, h2 = abs(i0), abs(i1), abs(i2)
     return max(m0 - h0, m1 - h1, m2 - h2), min(m0 + h0, m1 + h1, m2 + h2)
@@ -36,7 +36,7 @@ def _box_span(o0, o1, o2, d0, d1, d2):
 
 @numba.njit(inline="always", fastmath=_MATH, error_model="numpy")
 def _ball(o0, o1, o2, d0, d1, d2):
-    """Where a ray enters the unit ball; inf when it misses."""
+    """The t at which a ray enters the unit ball; inf if it misses."""
     a = d0 * d0 + d1 * d1 + d2 * d2
     b = o0 * d0 + o1 * d1 + o2 * d2
     root = b * b - a * (o0 * o0 + o1 * o1 + o2 * o2 - 1)
@@ -45,7 +45,7 @@ def _ball(o0, o1, o2, d0, d1, d2):
 
 @numba.njit(fastmath=_MATH, error_model="numpy")
 def _enter(kind, half, o0, o1, o2, d0, d1, d2):
-    """Where a ray o + t d first meets a solid (of a shell: leaves it); inf when it misses."""
+    """The t at which a ray o + t d first meets a solid (for a shell: leaves it); inf if it misses."""
     if kind == BOX:
         enter, leave = _box_span(o0, o1, o2, d0, d1, d2)
         return enter if enter < leave else np.inf
@@ -53,7 +53,7 @@ def _enter(kind, half, o0, o1, o2, d0, d1, d2):
         return _box_span(o0, o1, o2, d0, d1, d2)[1]
     if kind == ELLIPSOID:
         return _ball(o0, o1, o2, d0, d1, d2)
-    # Both others begin with the endless cylinder around z.
+    # Cylinder and capsule: first the infinite cylinder around z.
     a = max(d0 * d0 + d1 * d1, 1e-18)
     b = o0 * d0 + o1 * d1
     root = b * b - a * (o0 * o0 + o1 * o1 - 1)
@@ -62,20 +62,20 @@ def _enter(kind, half, o0, o1, o2, d0, d1, d2):
     root = np.sqrt(root)
     enter, leave = (-b - root) / a, (-b + root) / a
     if kind == CYLINDER:
-        inverse = 1 / _guard(d2)
+        inverse = 1 / _nonzero(d2)
         enter = max(enter, -o2 * inverse - abs(inverse))
         leave = min(leave, -o2 * inverse + abs(inverse))
         return enter if enter < leave else np.inf
     z = o2 + enter * d2
     if abs(z) <= half:
         return enter
-    # Beyond an end: only that end's ball can be met first.
+    # Beyond an end, the ray can only meet the ball of that end first.
     return _ball(o0, o1, o2 - np.copysign(half, z), d0, d1, d2)
 
 
 @numba.njit(fastmath=_MATH, error_model="numpy")
 def _cast_box_row(inside, m, x, y, material, depth, values):
-    """``cast`` for a box and a piece of a row, without branches so that it is computed several pixels at a time."""
+    """``cast`` for a box and a part of a row, without branches, so that it is vectorised."""
     o0, o1, o2 = m[0, 3], m[1, 3], m[2, 3]
     x0, x1, x2 = m[0, 0], m[1, 0], m[2, 0]
     y0, y1, y2 = m[0, 1], m[1, 1], m[2, 1]
@@ -92,14 +92,14 @@ def _cast_box_row(inside, m, x, y, material, depth, values):
 
 @numba.njit(cache=True, fastmath=_MATH, error_model="numpy", nogil=True)
 def cast(rays_x, rays_y, windows, kinds, halves, frames, materials, depth, values):
-    """Draw solids over ``depth`` (metres along z, ``inf`` where nothing is yet) and ``values``, where they are nearer.
+    """Draw solids into ``depth`` (metres along z, ``inf`` where it is empty) and ``values``, where they are nearer.
 
     Args:
-        rays_x, rays_y: x/z and y/z of the pixels' rays; one row (of x) or one column (of y) serves for all.
+        rays_x, rays_y: x/z and y/z of the pixels' rays; one row of x and one column of y are enough without distortion.
         windows: first and last row, first and last column that each solid may cover.
         frames: ``local_from_camera`` of each, 3×4.
 
-    A solid around the camera is not seen from inside, a shell only so.
+    A solid is visible only from outside, and a shell only from inside.
     """
     height, width = depth.shape
     x = np.empty(width)
@@ -134,7 +134,7 @@ def cast(rays_x, rays_y, windows, kinds, halves, frames, materials, depth, value
 
 
 @numba.njit(inline="always")
-def _place(m, p):
+def _to_local(m, p):
     """A point in a solid's frame."""
     return (
         m[0, 0] * p[0] + m[0, 1] * p[1] + m[0, 2] * p[2] + m[0, 3],
@@ -144,26 +144,26 @@ def _place(m, p):
 
 
 @numba.njit(cache=True, fastmath=_MATH, error_model="numpy", nogil=True)
-def hides(kinds, halves, frames, eyes, points, hidden):
-    """Mark in ``hidden`` (eyes × points) what a solid hides of the points. ``frames``: ``local_from_world``."""
+def mark_hidden(kinds, halves, frames, eyes, points, hidden):
+    """Mark in ``hidden`` (eyes × points) the points that a solid occludes. ``frames``: ``local_from_world``."""
     for k in range(kinds.shape[0]):
         m = frames[k]
         for e in range(eyes.shape[0]):
-            o0, o1, o2 = _place(m, eyes[e])
+            o0, o1, o2 = _to_local(m, eyes[e])
             for p in range(points.shape[0]):
-                p0, p1, p2 = _place(m, points[p])
+                p0, p1, p2 = _to_local(m, points[p])
                 t = _enter(kinds[k], halves[k], o0, o1, o2, p0 - o0, p1 - o1, p2 - o2)
                 if t > 0 and t < 1:
                     hidden[e, p] = True
 
 
 @numba.njit(cache=True, nogil=True)
-def holds_any(kinds, halves, frames, points):
+def contains_any(kinds, halves, frames, points):
     """Whether any point lies within any solid; a shell counts as a box. ``frames``: ``local_from_world``."""
     for k in range(kinds.shape[0]):
         kind = kinds[k]
         for p in range(points.shape[0]):
-            x, y, z = _place(frames[k], points[p])
+            x, y, z = _to_local(frames[k], points[p])
             if abs(z) > 1 + halves[k]:
                 continue
             if kind in (BOX, SHELL):
@@ -171,7 +171,7 @@ def holds_any(kinds, halves, frames, points):
             elif kind == CYLINDER:
                 inside = x * x + y * y < 1
             else:
-                z = max(abs(z) - halves[k], 0.0)  # no half but of capsules
+                z = max(abs(z) - halves[k], 0.0)  # half is 0 except for capsules
                 inside = x * x + y * y + z * z < 1
             if inside:
                 return True

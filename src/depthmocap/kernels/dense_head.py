@@ -1,4 +1,4 @@
-"""Labels and their probabilities from scores of every pixel, at masked pixels only."""
+"""Labels and their probabilities from the scores of all pixels, at masked pixels only."""
 
 import numba
 import numpy as np
@@ -8,7 +8,7 @@ import numpy as np
 def label_dense_pixels(scores, mask, labels, confidence):
     """Argmax and softmax of one view's scores ``(c, h, w)`` into ``(h, w)`` arrays, zero outside the mask.
 
-    A row is read class by class between its first and its last masked pixel, which follows the memory.
+    Each row is read class by class between its first and last masked pixels, in the order of the memory.
     """
     classes, height, width = scores.shape
     best = np.empty(width, np.float32)

@@ -1,12 +1,12 @@
-"""Clothes and hair: shells over the skin, and sheets that hang from them."""
+"""Clothes and hair: shells over the skin, and hanging sheets."""
 
 import numba
 import numpy as np
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def compression(points, starts, neighbours, rest_lengths, out):
-    """``out[v]``: mean shortening of the edges at a vertex, 0 (none, or stretched) to 1; edges in CSR form."""
+def edge_compression(points, starts, neighbours, rest_lengths, out):
+    """``out[v]``: mean shortening of the edges at a vertex, from 0 (none, or stretched) to 1; edges in CSR form."""
     for v in range(points.shape[0]):
         first, last = starts[v], starts[v + 1]
         total = np.float32(0)
@@ -32,50 +32,50 @@ def edge_lengths(points, starts, neighbours):
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def taut(points, starts, neighbours, count, rounds):
-    """A taut cloth over the first ``count`` points of a mesh: above hollows and below bumps; the others stay.
+def smooth_cloth(points, starts, neighbours, count, rounds):
+    """A taut cloth over the first ``count`` points of a mesh: above hollows and below bumps. The other points stay.
 
-    Every point moves to the mean of its neighbours, some (even) number of rounds.
+    In each round every point moves to the mean of its neighbours (Laplacian smoothing).
     """
-    old, new = points.copy(), points.copy()
+    previous, new = points.copy(), points.copy()
     for _ in range(rounds):
         for v in range(count):
             x = y = z = np.float32(0)
             first, last = starts[v], starts[v + 1]
             for e in range(first, last):
                 n = neighbours[e]
-                x += old[n, 0]
-                y += old[n, 1]
-                z += old[n, 2]
+                x += previous[n, 0]
+                y += previous[n, 1]
+                z += previous[n, 2]
             share = np.float32(1) / max(last - first, 1)
             new[v, 0], new[v, 1], new[v, 2] = x * share, y * share, z * share
-        old, new = new, old
-    return old
+        previous, new = new, previous
+    return previous
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def cut(level, hidden, faces, starts, neighbours):
+def cut_mesh(level, hidden, faces, starts, neighbours):
     """The part of a mesh where ``level`` is above 0, without faces whose corners are all ``hidden``.
 
     Returns:
-        its vertices; the faces counted by them; for those outside (``level`` ≤ 0) the neighbour furthest inside, the
-        others themselves; and how far towards it (0–1) the level is 0.
+        The vertices; the faces, as indices of these; for each vertex outside (``level`` ≤ 0) its neighbour with the
+        highest level, for the others the vertex itself; and how far towards that neighbour (0–1) the level is 0.
     """
     number = np.full(level.shape[0], -1, np.int32)
-    kept = np.empty_like(faces)
+    kept_faces = np.empty_like(faces)
     count = 0
     for f in range(faces.shape[0]):
         i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
         inside = level[i] > 0 or level[j] > 0 or level[k] > 0
         if inside and not (hidden[i] and hidden[j] and hidden[k]):
-            kept[count, 0], kept[count, 1], kept[count, 2] = i, j, k
+            kept_faces[count, 0], kept_faces[count, 1], kept_faces[count, 2] = i, j, k
             number[i] = number[j] = number[k] = 0
             count += 1
-    used = np.flatnonzero(number == 0).astype(np.int32)
-    partner = used.copy()
-    mix = np.zeros(used.shape[0], np.float32)
-    for i in range(used.shape[0]):
-        v = used[i]
+    vertices = np.flatnonzero(number == 0).astype(np.int32)
+    partner = vertices.copy()
+    mix = np.zeros(vertices.shape[0], np.float32)
+    for i in range(vertices.shape[0]):
+        v = vertices[i]
         number[v] = i
         if level[v] > 0:
             continue
@@ -86,16 +86,16 @@ def cut(level, hidden, faces, starts, neighbours):
                 partner[i] = neighbours[e]
         if best > 0:
             mix[i] = min(-level[v] / (best - level[v]), np.float32(0.95))
-    local = kept[:count].copy()
+    local = kept_faces[:count].copy()
     for f in range(count):
         for k in range(3):
             local[f, k] = number[local[f, k]]
-    return used, local, partner, mix
+    return vertices, local, partner, mix
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def between(field, vertices, partner, mix):
-    """A field at points between vertices and their partners."""
+def interpolate_cut(field, vertices, partner, mix):
+    """A field of the vertices, interpolated at the points between vertices and their partners."""
     out = np.empty(vertices.shape[0], np.float32)
     for i in range(vertices.shape[0]):
         out[i] = (1 - mix[i]) * field[vertices[i]] + mix[i] * field[partner[i]]
@@ -103,12 +103,12 @@ def between(field, vertices, partner, mix):
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def rings(level, metres, azimuth, slant, wander, patches, trunk, waves, out):
-    """Add folds that run around limbs and trunk, where ``level`` is not far outside.
+def add_folds(level, metres, azimuth, slant, wander, patches, trunk, waves, out):
+    """Write the height of folds around limbs and trunk, where ``level`` is not far outside.
 
-    The first ``trunk`` vertices are the trunk's. A row of ``waves``: wave number on limbs and on the trunk (radians a
-    metre), turns around a limb (twice as many around the trunk), phase. Ridges are narrower than the valleys between
-    them; where ``patches`` is low, cloth lies smooth.
+    The first ``trunk`` vertices are the trunk's. A row of ``waves`` holds the wave number on limbs and on the trunk
+    (radians per metre), the turns around a limb (twice as many around the trunk), and the phase. Ridges are narrower
+    than the valleys between them. Where ``patches`` is low, the cloth is smooth.
     """
     for v in range(level.shape[0]):
         if level[v] < np.float32(-0.1):
@@ -123,11 +123,12 @@ def rings(level, metres, azimuth, slant, wander, patches, trunk, waves, out):
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def wear(points, directions, compressed, vertices, partner, mix, thickness, slack, fold, crease, out):
-    """Push a shell's vertices out of the posed skin.
+def offset_shell(points, directions, compressed, vertices, partner, mix, thickness, slack, fold, crease, out):
+    """Offset a shell's vertices from the posed skin.
 
-    ``thickness`` (metres) stays; ``slack`` lies flat on top of what it rests on and hangs away below, by the height of
-    the normal; ``fold`` (metres, signed) grows by ``crease`` where the skin is compressed, as in a bent elbow.
+    The offset is ``thickness`` (metres), plus ``slack``, which is small where the normal points up, as cloth rests
+    there, and large where it points down, as cloth hangs there, plus ``fold`` (metres, signed), which grows by
+    ``crease`` where the skin is compressed, as in a bent elbow.
     """
     for i in range(vertices.shape[0]):
         v, n, m = vertices[i], partner[i], mix[i]
@@ -142,11 +143,11 @@ def wear(points, directions, compressed, vertices, partner, mix, thickness, slac
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def hang(height, azimuth, radius, step, decay, columns):
-    """How far cloth that falls from above hangs off the skin at each vertex (metres).
+def hanging_offsets(height, azimuth, radius, step, decay, columns):
+    """Distance (metres) between the skin and cloth that hangs from above, at each vertex.
 
-    The widest radius of each azimuth (columns of the circle) is carried down, and shrinks by ``decay`` a metre; and
-    cloth spans the hollows between neighbouring columns.
+    The largest radius at each azimuth (``columns`` around the circle) continues downwards and shrinks by ``decay`` per
+    metre. Cloth spans the hollows between neighbouring columns.
     """
     top, bottom = height.max(), height.min()
     rows = int((top - bottom) / step) + 2
@@ -166,24 +167,24 @@ def hang(height, azimuth, radius, step, decay, columns):
                 widest[row, column] = max(widest[row, column], chord)
     out = np.empty_like(radius)
     for v in range(height.shape[0]):
-        # Between the middles of two rows and two columns.
+        # Interpolated between the centres of two rows and two columns.
         down = max((top - height[v]) / step - np.float32(0.5), np.float32(0))
         row = int(down)
         lower, below = down - row, min(row + 1, rows - 1)
-        at = (azimuth[v] + np.pi) * turn - np.float32(0.5)
-        column = int(np.floor(at))
-        share = at - column
-        column, following = column % columns, (column + 1) % columns
-        high = (1 - share) * widest[row, column] + share * widest[row, following]
-        low = (1 - share) * widest[below, column] + share * widest[below, following]
-        # The widest of a cell is a little wider than the skin in its middle.
+        position = (azimuth[v] + np.pi) * turn - np.float32(0.5)
+        column = int(np.floor(position))
+        share = position - column
+        column, next_column = column % columns, (column + 1) % columns
+        high = (1 - share) * widest[row, column] + share * widest[row, next_column]
+        low = (1 - share) * widest[below, column] + share * widest[below, next_column]
+        # The largest radius of a cell is slightly larger than the skin's in its centre.
         out[v] = max((1 - lower) * high + lower * low - radius[v] - np.float32(0.003), np.float32(0))
     return out
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def _leave(x, y, z, starts, ends, start_radii, end_radii):
-    """The point, moved out of capsules whose radius changes from end to end."""
+def _push_out(x, y, z, starts, ends, start_radii, end_radii):
+    """The point moved out of capsules whose radius changes linearly between their ends."""
     for i in range(starts.shape[0]):
         ax, ay, az = starts[i, 0], starts[i, 1], starts[i, 2]
         bx, by, bz = ends[i, 0] - ax, ends[i, 1] - ay, ends[i, 2] - az
@@ -199,21 +200,21 @@ def _leave(x, y, z, starts, ends, start_radii, end_radii):
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def relax(sheet, along, across, closed, starts, ends, start_radii, end_radii, fall, floor, rounds):
+def relax_sheet(sheet, along, across, closed, starts, ends, start_radii, end_radii, fall, floor, rounds):
     """Let a sheet of ``(rows, columns, 3)`` points hang from its first row, in place.
 
-    In each round points fall by ``fall`` metres, are drawn to within ``along`` of the point above and ``across`` of
-    the next in their row, and leave the capsules and the floor. Lengths are only limited from above: cloth folds.
-    What a capsule has held up does not fall any more: cloth on a lap does not slide off.
-    Position-based dynamics (Müller et al. 2007) without velocities: the state is the posture's alone.
+    In each round points fall by ``fall`` metres, are pulled to within ``along`` of the point above and ``across`` of
+    the next point in their row, and are moved out of the capsules and the floor. Lengths only have upper limits,
+    because cloth folds. A point that a capsule supports does not fall any more: cloth on a lap does not slide off. This
+    is position-based dynamics (Müller et al. 2007) without velocities: the result depends only on the posture.
     """
     rows, columns = sheet.shape[0], sheet.shape[1]
-    lies = np.zeros((rows, columns), np.bool_)
+    resting = np.zeros((rows, columns), np.bool_)
     for _ in range(rounds):
         for r in range(1, rows):
             for c in range(columns):
                 x, y, z = sheet[r, c, 0], sheet[r, c, 1], sheet[r, c, 2]
-                if not lies[r, c]:
+                if not resting[r, c]:
                     z -= fall
                 dx, dy, dz = x - sheet[r - 1, c, 0], y - sheet[r - 1, c, 1], z - sheet[r - 1, c, 2]
                 length = np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -234,7 +235,7 @@ def relax(sheet, along, across, closed, starts, ends, start_radii, end_radii, fa
                         sheet[r, n, k] -= half * d
             for c in range(columns):
                 old_x, old_y, old_z = sheet[r, c, 0], sheet[r, c, 1], sheet[r, c, 2]
-                x, y, z = _leave(old_x, old_y, old_z, starts, ends, start_radii, end_radii)
+                x, y, z = _push_out(old_x, old_y, old_z, starts, ends, start_radii, end_radii)
                 if z - old_z > abs(x - old_x) + abs(y - old_y):
-                    lies[r, c] = True
+                    resting[r, c] = True
                 sheet[r, c, 0], sheet[r, c, 1], sheet[r, c, 2] = x, y, max(z, floor)

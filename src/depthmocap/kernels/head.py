@@ -1,4 +1,4 @@
-"""Labels and their probabilities from what our network tells of groups of pixels."""
+"""Labels and their probabilities from our network's output for groups of pixels."""
 
 import numba
 import numpy as np
@@ -6,22 +6,22 @@ import numpy as np
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
 def label_groups(probabilities, mask, labels, confidence):
-    """The likeliest class and its probability at the masked pixels of a window; ``labels`` and ``confidence`` zero
-    before.
+    """The most probable class and its probability at the masked pixels of a window; ``labels`` and ``confidence`` must
+    be zero before.
 
-    ``probabilities`` are (m, 4, classes): of the m groups of 2×2 pixels with a masked one, in row-major order, and of
-    the pixels of a group, in row-major order too.
+    ``probabilities`` are (m, 4, classes): for the m groups of 2×2 pixels that contain a masked one, and for the pixels
+    of a group, both in row-major order.
     """
     classes = probabilities.shape[2]
     group = 0
     for y in range(0, mask.shape[0], 2):
         for x in range(0, mask.shape[1], 2):
-            shown = False
+            has_masked = False
             for k in range(4):
                 v, u = y + k // 2, x + k % 2
                 if not mask[v, u]:
                     continue
-                shown = True
+                has_masked = True
                 best = np.float32(-1)
                 for i in range(classes):
                     best = max(best, probabilities[group, k, i])
@@ -30,4 +30,4 @@ def label_groups(probabilities, mask, labels, confidence):
                     index += 1
                 labels[v, u] = index
                 confidence[v, u] = best
-            group += shown
+            group += has_masked

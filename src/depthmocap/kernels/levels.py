@@ -1,4 +1,4 @@
-"""Depth as the few levels of an 8-bit picture."""
+"""Depth as levels of an 8-bit image."""
 
 import numba
 import numpy as np
@@ -6,8 +6,8 @@ import numpy as np
 
 @numba.njit(cache=True, nogil=True)
 def depth_levels(depth_m, mask, scale, near_cm, far_cm, levels):
-    """1 + the nearest of 256 levels of depth between ``near_cm`` and ``far_cm`` (times ``scale``); 0 outside the mask
-    and where there is no depth."""
+    """1 + the nearest of 256 depth levels between ``near_cm`` and ``far_cm`` (times ``scale``); 0 outside the mask and
+    without depth."""
     height, width = depth_m.shape
     for i in range(height):
         for j in range(width):

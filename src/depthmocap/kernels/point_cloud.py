@@ -1,4 +1,4 @@
-"""Depth pixels to labelled world points."""
+"""Labelled depth pixels to labelled world points."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def unproject_labelled(
     """Write one view's pixels with a label 1…``label_count`` and a finite depth above 0 into the output arrays from row
     ``start``; the next free row.
 
-    All labels are in the rows and columns of ``box`` (first row, row after the last, and so for columns). An empty
-    ``weights`` stands for ones; an empty ``rays`` for a lens without distortion, whose rays follow from ``intrinsics``
-    (fx, fy, cx, cy).
+    All labels are inside ``box`` (first row, row after the last, first column, column after the last). An empty
+    ``weights`` means ones. An empty ``rays`` means no lens distortion: the rays follow from ``intrinsics`` (fx, fy, cx,
+    cy).
     """
     fx, fy, cx, cy = intrinsics
     r, row = world_from_camera, start

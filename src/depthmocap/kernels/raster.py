@@ -1,18 +1,17 @@
-"""A z-buffer: triangles into a depth image and a value of the nearest triangle."""
+"""A z-buffer: draws triangles into a depth image and an image of the nearest triangle's values."""
 
 import numba
 import numpy as np
 
 
-# Not all of fastmath: the background is infinitely far.
+# Not all of fastmath: the background's depth is infinite.
 @numba.njit(cache=True, fastmath={"contract", "arcp", "nsz", "reassoc"}, nogil=True)
 def rasterise(points, faces, face_values, fx, fy, cx, cy, near, two_sided, depth, values):
     """Draw triangles of camera-frame points (x right, y down, z forward) over ``depth``.
 
-    ``depth`` holds metres along z and ``inf`` (or what was drawn before) elsewhere; where a triangle is nearer,
-    ``depth`` takes its depth and ``values`` its ``face_values``. Depth is exact on the plane of a triangle: 1/z is
-    linear in the image. Triangles that reach nearer than ``near`` are left out, and unless ``two_sided`` those seen
-    from behind.
+    ``depth`` holds metres along z, and ``inf`` where nothing was drawn before. Where a triangle is nearer, ``depth``
+    gets its depth and ``values`` its ``face_values``. Depth is exact on the plane of a triangle, because 1/z is linear
+    in the image. Triangles that reach nearer than ``near`` are left out, and so are back faces unless ``two_sided``.
     """
     height, width = depth.shape
     n = points.shape[0]
@@ -33,7 +32,7 @@ def rasterise(points, faces, face_values, fx, fy, cx, cy, near, two_sided, depth
             continue
         u0, v0, u1, v1, u2, v2 = u[i], v[i], u[j], v[j], u[k], v[k]
         area = (u1 - u0) * (v2 - v0) - (u2 - u0) * (v1 - v0)
-        # A front face is counter-clockwise seen from outside; v points down, so its area is negative here.
+        # A front face is counter-clockwise from outside. Its area is negative here, because v points down.
         if area == 0 or (area > 0 and not two_sided):
             continue
         left = max(np.int32(np.ceil(min(u0, u1, u2))), 0)

@@ -1,4 +1,4 @@
-"""What a depth sensor does to a picture, pixel by pixel. Random numbers are a hash of a seed and a position."""
+"""Errors of a depth sensor, pixel by pixel. Random numbers are a hash of a seed and a position."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ import numba
 import numpy as np
 from numpy import ndarray
 
-#: A step between pixels of more than this share of the distance is a silhouette, not a slope.
+#: A depth step between pixels of more than this share of the depth is a silhouette, not a slope.
 EDGE_SHARE = 0.04
-#: tan² of the steepest angle of incidence told apart, about 80°.
-_STEEPEST = 32.0
-#: Deviations that the holes' noise hardly ever goes beyond.
-_MOST = 3.5
-#: Pixels between the points that multipath is worked out at.
+#: tan² of the largest angle of incidence, about 80°; larger angles count as this one.
+_LARGEST_TAN2 = 32.0
+#: Standard deviations that the holes' noise hardly ever exceeds.
+_NOISE_LIMIT = 3.5
+#: Distance of the points at which multipath is computed (pixels).
 FACING_STEP = 4
-#: Pixels of a block that is searched for silhouettes.
+#: Side of a block that is searched for silhouettes (pixels).
 EDGE_BLOCK = 4
-#: Pixels without depth around the picture for :func:`read`; what is moved, spread or lost goes no farther than this.
+#: Margin without depth around the image for :func:`simulate_readings`: the greatest displacement (pixels).
 MARGIN = 8
-#: Surfaces facing each other reach this far (metres).
+#: Greatest distance of surfaces that illuminate each other (metres).
 _FACING_M = 0.3
 
-#: Divisions by zero are not looked for; no not-a-numbers or infinities are ruled out.
+#: Without checks for division by zero, and not all of fastmath: NaN and infinity must stay valid.
 _kernel = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
 
 
 class Pinhole(NamedTuple):
-    """Intrinsics of the part of the picture that is worked on, and the square of the picture's half diagonal."""
+    """Intrinsics of the processed part of the image, and the square of the image's half diagonal (pixels²)."""
 
     fx: float
     fy: float
@@ -37,8 +37,8 @@ class Pinhole(NamedTuple):
     corner2: float
 
 
-class Terms(NamedTuple):
-    """The numbers of ``depthmocap.synth.sensing.sensor.SensorModel`` that :func:`read` uses."""
+class SensorTerms(NamedTuple):
+    """The numbers of ``depthmocap.synth.sensing.sensor.SensorModel`` that :func:`simulate_readings` uses."""
 
     axial_0: float
     axial_1: float
@@ -66,7 +66,7 @@ class Terms(NamedTuple):
 
 
 @_kernel
-def _bits(seed: Any, index: Any) -> Any:
+def _random_bits(seed: Any, index: Any) -> Any:
     """64 random bits of a position, by splitmix64's finaliser."""
     x = np.uint64(seed) + np.uint64(index) * np.uint64(0x9E3779B97F4A7C15)
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -75,7 +75,7 @@ def _bits(seed: Any, index: Any) -> Any:
 
 
 @_kernel
-def _part(bits: Any, i: int) -> Any:
+def _uniform(bits: Any, i: int) -> Any:
     """One of four uniform numbers in 0–1 from the bits."""
     return np.float32((bits >> np.uint64(16 * i)) & np.uint64(0xFFFF)) * np.float32(1 / 65536)
 
@@ -83,19 +83,19 @@ def _part(bits: Any, i: int) -> Any:
 @_kernel
 def _normal(bits: Any) -> Any:
     """Nearly normal, deviation 1: a sum of four uniform numbers, never beyond ±3.46."""
-    total = _part(bits, 0) + _part(bits, 1) + _part(bits, 2) + _part(bits, 3)
+    total = _uniform(bits, 0) + _uniform(bits, 1) + _uniform(bits, 2) + _uniform(bits, 3)
     return (total - np.float32(2)) * np.float32(1.7320508)
 
 
 @_kernel
-def field(seed: int, cell: float, out: ndarray) -> None:
-    """Smooth noise of deviation 1, alike within about ``cell`` pixels.
+def smooth_noise(seed: int, cell: float, out: ndarray) -> None:
+    """Smooth noise of deviation 1, correlated within about ``cell`` pixels.
 
-    Between the points of a lattice, weights are the cosine and sine of the way from one to the next: their squares add
-    up to 1, so that the deviation is the same everywhere.
+    Values between the points of a lattice are interpolated with cosine and sine as weights. Their squares add up to 1,
+    so that the deviation is the same everywhere.
     """
     height, width = out.shape
-    shift_u, shift_v = _part(_bits(seed, -1), 0), _part(_bits(seed, -1), 1)
+    shift_u, shift_v = _uniform(_random_bits(seed, -1), 0), _uniform(_random_bits(seed, -1), 1)
     across = int((width - 1) / cell + shift_u) + 2
     upper, lower = np.empty(across, np.float32), np.empty(across, np.float32)
     columns = np.empty(width, np.int64)
@@ -111,8 +111,8 @@ def field(seed: int, cell: float, out: ndarray) -> None:
         if int(y) != row:
             row = int(y)
             for i in range(across):
-                upper[i] = _normal(_bits(seed, row * across + i))
-                lower[i] = _normal(_bits(seed, (row + 1) * across + i))
+                upper[i] = _normal(_random_bits(seed, row * across + i))
+                lower[i] = _normal(_random_bits(seed, (row + 1) * across + i))
         top, bottom = np.float32(np.cos((y - row) * np.pi / 2)), np.float32(np.sin((y - row) * np.pi / 2))
         for i in range(across):
             mixed[i] = top * upper[i] + bottom * lower[i]
@@ -122,10 +122,10 @@ def field(seed: int, cell: float, out: ndarray) -> None:
 
 @_kernel
 def cast_shadows(depth: ndarray, focal_baseline: float, dark: ndarray) -> None:
-    """Mark what a lamp (or a second camera) beside the camera does not reach.
+    """Mark the pixels that an emitter (or a second camera) beside the camera does not reach.
 
-    ``focal_baseline`` is the focal length in pixels times the metres to the lamp, positive on the right. Along a row
-    the lamp sees pixels at ``u - focal_baseline / z``; whatever it sees out of order is behind something.
+    ``focal_baseline`` is the focal length in pixels times the metres to the emitter, positive on the right. Along a row
+    the emitter sees pixels at ``u - focal_baseline / z``; a pixel out of order there is occluded.
     """
     height, width = depth.shape
     sign = 1 if focal_baseline > 0 else -1
@@ -135,36 +135,36 @@ def cast_shadows(depth: ndarray, focal_baseline: float, dark: ndarray) -> None:
             u = width - 1 - i if sign > 0 else i
             z = depth[v, u]
             if z > 0:
-                # Mirrored for a lamp on the left, so that it always runs downwards.
-                at = sign * (u - focal_baseline / z)
-                if at > first + 0.5:
+                # Mirrored for an emitter on the left, so that it always decreases.
+                projected = sign * (u - focal_baseline / z)
+                if projected > first + 0.5:
                     dark[v, u] = True
-                elif at < first:
-                    first = at
+                elif projected < first:
+                    first = projected
 
 
 @_kernel
 def _shift(pixels: Any) -> int:
     """A displacement in whole pixels, within the margin."""
-    # The cast cuts towards zero: the large number makes that a floor.
+    # The cast truncates towards zero; the large number makes that a floor.
     return min(max(int(pixels + 1024.5) - 1024, -MARGIN), MARGIN)
 
 
 @_kernel
-def _slope(before: Any, z: Any, after: Any) -> Any:
-    """Change of depth per pixel; across a silhouette that of the side without the jump."""
-    a, b = z - before, after - z
-    # Written as choices between numbers, which the compiler makes without branches.
-    a, b = b if before <= 0 else a, a if after <= 0 else b
+def _slope(previous: Any, z: Any, after: Any) -> Any:
+    """Change of depth per pixel; at a silhouette, that on the side without the jump."""
+    a, b = z - previous, after - z
+    # Conditional expressions compile without branches.
+    a, b = b if previous <= 0 else a, a if after <= 0 else b
     slope = a if abs(a) < abs(b) else b
-    return np.float32(0) if max(before, after) <= 0 else slope
+    return np.float32(0) if max(previous, after) <= 0 else slope
 
 
 @_kernel
-def facing(depth: ndarray, focal: float, out: ndarray) -> None:
-    """How much of a surface's surroundings (0–1) stands in front of its tangent plane, near enough to send light there.
+def facing_share(depth: ndarray, focal: float, out: ndarray) -> None:
+    """Share (0–1) of a surface's surroundings in front of its tangent plane, near enough to illuminate it.
 
-    ``out`` has a point for every ``FACING_STEP`` pixels. Eight points around, 4 and 9 cm away, stand for all.
+    ``out`` has a point for every ``FACING_STEP`` pixels. Eight points around it, 4 and 9 cm away, are sampled.
     """
     height, width = depth.shape
     turns = np.arange(8) * np.pi / 4
@@ -186,15 +186,16 @@ def facing(depth: ndarray, focal: float, out: ndarray) -> None:
                 if not (0 <= v + dv < height and 0 <= u + du < width):
                     continue
                 other = depth[v + dv, u + du]
-                before = z + zu * du + zv * dv - other
-                if other > 0 and 0.01 < before < _FACING_M:
-                    total += before / np.sqrt(before * before + reach[k] * reach[k])
+                in_front = z + zu * du + zv * dv - other
+                if other > 0 and 0.01 < in_front < _FACING_M:
+                    total += in_front / np.sqrt(in_front * in_front + reach[k] * reach[k])
             out[i, j] = total / 8
 
 
 @_kernel
-def silhouettes(depth: ndarray, around: int, blocks: ndarray) -> None:
-    """Mark the blocks of ``EDGE_BLOCK`` pixels that hold a jump between neighbours, and as many around them."""
+def mark_silhouettes(depth: ndarray, around: int, blocks: ndarray) -> None:
+    """Mark the blocks of ``EDGE_BLOCK`` pixels that contain a depth jump, and ``around`` blocks on every side of
+    them."""
     height, width = depth.shape
     for v in range(height):
         for u in range(width):
@@ -209,7 +210,7 @@ def silhouettes(depth: ndarray, around: int, blocks: ndarray) -> None:
 
 @_kernel
 def _incidence(above: ndarray, here: ndarray, below: ndarray, v: int, camera: Pinhole, secant2: ndarray) -> None:
-    """1 / cos² of the angles of incidence in one row, given with its margin and its neighbours.
+    """1 / cos² of the angles of incidence in one row, from the row and its neighbours, all with their margins.
 
     The normal of a surface with slopes (p, q) in pixels is (-fx p, -fy q, z + du p + dv q), and its product with the
     ray (x, y, 1) is the depth z.
@@ -228,7 +229,7 @@ def _incidence(above: ndarray, here: ndarray, below: ndarray, v: int, camera: Pi
 
 
 @_kernel
-def read(
+def simulate_readings(
     depth: ndarray,
     material: ndarray,
     reflectance: ndarray,
@@ -237,30 +238,30 @@ def read(
     blocks: ndarray,
     smooth: ndarray,
     camera: Pinhole,
-    terms: Terms,
+    terms: SensorTerms,
     seed: int,
     out: ndarray,
 ) -> None:
     """The reading of every pixel with depth; ``out`` keeps its 0 elsewhere, and where a pixel is lost.
 
-    ``depth`` has a margin around the picture. ``smooth`` holds five fields: displacement along u and v, error, slow
-    error, and holes. ``dark`` and ``faced`` come from :func:`cast_shadows` and :func:`facing`, ``blocks`` from
-    :func:`silhouettes`. What is off may be empty.
+    ``depth`` has a margin around the image. ``smooth`` holds five noise fields: displacement along u and v, error, slow
+    error, and holes. ``dark`` and ``faced`` come from :func:`cast_shadows` and :func:`facing_share`, ``blocks`` from
+    :func:`mark_silhouettes`. Arrays of terms that are switched off may be empty.
     """
-    # One function, because calls that pass arrays on cost more than the work in them.
+    # One long function, because calls with array arguments cost more than their work.
     height, width = out.shape
     patches = terms.patch_px > 1
-    shared, own = np.float32(np.sqrt(terms.correlation)), np.float32(np.sqrt(1 - terms.correlation))
+    shared, independent = np.float32(np.sqrt(terms.correlation)), np.float32(np.sqrt(1 - terms.correlation))
     dust, blob = np.float32(np.sqrt(terms.hole_dust)), np.float32(np.sqrt(1 - terms.hole_dust))
     holes = terms.reach_m < np.inf
     shadowed, corrected, edges = dark.size > 0, faced.size > 0, blocks.size > 0
     secant2 = np.empty(width, np.float32)
-    # The holes' noise is hardly ever beyond this: a stronger signal is never lost.
+    # The holes' noise hardly ever exceeds this: a stronger signal is never lost.
     spread = np.float32(terms.hole_spread)
-    safe = np.exp(np.float32(_MOST) * spread)
+    safe = np.exp(np.float32(_NOISE_LIMIT) * spread)
     reach2, falloff = np.float32(terms.reach_m**2), np.float32(terms.vignette / camera.corner2)
     constant, linear, square = np.float32(terms.axial_0), np.float32(terms.axial_1), np.float32(terms.axial_2)
-    grazing, wave, steepest = np.float32(terms.grazing), np.float32(terms.wave), np.float32(_STEEPEST)
+    grazing, wave, steepest = np.float32(terms.grazing), np.float32(terms.wave), np.float32(_LARGEST_TAN2)
     dimmest, one = np.float32(0.02), np.float32(1)
     for v in range(height):
         row = v + MARGIN
@@ -268,22 +269,22 @@ def read(
         _incidence(depth[row - 1], depth[row], depth[row + 1], v, camera, secant2)
         for u in range(width):
             column = u + MARGIN
-            exact = depth[row, column]
-            if exact <= 0 or (shadowed and dark[v, u]):
+            true_depth = depth[row, column]
+            if true_depth <= 0 or (shadowed and dark[v, u]):
                 continue
             index = v * width + u
-            z = exact
+            z = true_depth
             left, right = depth[row, column - 1], depth[row, column + 1]
             above, below = depth[row - 1, column], depth[row + 1, column]
             if edges and blocks[v // EDGE_BLOCK, u // EDGE_BLOCK]:
-                edge = np.float32(EDGE_SHARE) * exact
+                edge = np.float32(EDGE_SHARE) * true_depth
                 if patches:
                     gu, gv = smooth[0, v, u], smooth[1, v, u]
                 else:
-                    bits = _bits(seed + 1, index)
+                    bits = _random_bits(seed + 1, index)
                     # Triangular, deviation 1.
-                    gu = (_part(bits, 0) + _part(bits, 1) - np.float32(1)) * np.float32(2.4494897)
-                    gv = (_part(bits, 2) + _part(bits, 3) - np.float32(1)) * np.float32(2.4494897)
+                    gu = (_uniform(bits, 0) + _uniform(bits, 1) - np.float32(1)) * np.float32(2.4494897)
+                    gv = (_uniform(bits, 2) + _uniform(bits, 3) - np.float32(1)) * np.float32(2.4494897)
                 z = depth[row + _shift(terms.lateral_px * gv), column + _shift(terms.lateral_px * gu)]
                 if z <= 0:
                     continue
@@ -295,20 +296,20 @@ def read(
                             z = other
                 nearest, farthest = min(left, right, above, below), max(left, right, above, below)
                 flies = False
-                if nearest <= 0 or nearest < exact - edge or farthest > exact + edge:
-                    chance = _bits(seed + 2, index)
-                    flies = _part(chance, 0) < terms.flying
+                if nearest <= 0 or nearest < true_depth - edge or farthest > true_depth + edge:
+                    chance = _random_bits(seed + 2, index)
+                    flies = _uniform(chance, 0) < terms.flying
                 if flies:
                     far = farthest if farthest > z + edge else z + np.float32(terms.behind_m)
                     if 0 < nearest < z - edge:
                         far, z = z, nearest
-                    # The near surface sends more light back: mixtures crowd there.
-                    z += np.float32(_part(chance, 1) ** 2) * np.float32(far - z)
+                    # The near surface returns more light: mixed depths are mostly near it.
+                    z += np.float32(_uniform(chance, 1) ** 2) * np.float32(far - z)
                 lost = False
                 norm = np.float32(1) / np.sqrt(gu * gu + gv * gv + np.float32(1e-6))
                 gu, gv = gu * norm, gv * norm
                 for _ in range(4):
-                    # Four ways at right angles: one of them leads within 45° of the way across any silhouette.
+                    # Four directions at right angles: one of them is within 45° of the normal of any silhouette.
                     gu, gv = -gv, gu
                     if terms.lost_far_px > 0:
                         other = depth[row + _shift(terms.lost_far_px * gv), column + _shift(terms.lost_far_px * gu)]
@@ -319,18 +320,18 @@ def read(
                 if lost and not flies:
                     continue
             du = np.float32(u - camera.cx)
-            seen = reflectance[material[v, u]] * (one - falloff * (du * du + dv2))
+            returned = reflectance[material[v, u]] * (one - falloff * (du * du + dv2))
             if holes:
-                signal = seen * reach2 / (z * z * np.sqrt(secant2[u]))
+                signal = returned * reach2 / (z * z * np.sqrt(secant2[u]))
                 if signal < safe:
                     draw = blob * smooth[4, v, u] if terms.hole_dust < 1 else np.float32(0)
                     if terms.hole_dust > 0:
-                        draw += dust * _normal(_bits(seed + 3, index))
+                        draw += dust * _normal(_random_bits(seed + 3, index))
                     if signal < np.exp(spread * draw):
                         continue
             sigma = constant + z * (linear + z * square)
-            sigma *= (one + grazing * min(secant2[u] - one, steepest)) / np.sqrt(max(seen, dimmest))
-            error = own * _normal(_bits(seed, index))
+            sigma *= (one + grazing * min(secant2[u] - one, steepest)) / np.sqrt(max(returned, dimmest))
+            error = independent * _normal(_random_bits(seed, index))
             if terms.correlation > 0:
                 error += shared * smooth[2, v, u]
             if terms.wave > 0:
@@ -339,7 +340,7 @@ def read(
             if corrected:
                 z += terms.multipath_m * faced[v, u]
             if terms.disparity_m > 0 and z > 0:
-                # Disparity is counted in whole steps; disparity_m is the focal length times the baseline over a step.
+                # Disparity has whole steps; disparity_m is the focal length times the baseline, divided by a step.
                 z = terms.disparity_m / max(np.round(terms.disparity_m / z), 1)
             if terms.step_m > 0:
                 z = terms.step_from_m + np.round((z - terms.step_from_m) / terms.step_m) * terms.step_m
@@ -348,8 +349,8 @@ def read(
 
 
 @_kernel
-def blend(depth: ndarray, share: float, seed: int, out: ndarray) -> None:
-    """Average that share of the pixels beside nothing with the nothing, 0, at random weights."""
+def blend_edges(depth: ndarray, share: float, seed: int, out: ndarray) -> None:
+    """Mix a share of the pixels next to pixels without depth with their 0, with random weights."""
     height, width = depth.shape
     for v in range(height):
         for u in range(width):
@@ -359,6 +360,6 @@ def blend(depth: ndarray, share: float, seed: int, out: ndarray) -> None:
                 left, right = depth[v, max(u - 1, 0)], depth[v, min(u + 1, width - 1)]
                 above, below = depth[max(v - 1, 0), u], depth[min(v + 1, height - 1), u]
                 if min(left, right, above, below) <= 0:
-                    bits = _bits(seed, v * width + u)
-                    if _part(bits, 0) < share:
-                        out[v, u] = z * _part(bits, 1)
+                    bits = _random_bits(seed, v * width + u)
+                    if _uniform(bits, 0) < share:
+                        out[v, u] = z * _uniform(bits, 1)

@@ -5,7 +5,7 @@ import numpy as np
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
-def _turn(rotation, x, y, z):
+def _rotate(rotation, x, y, z):
     """The rotated vector."""
     return (
         rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,
@@ -25,16 +25,16 @@ def skin(rest, indices, weights, rotations, offsets, out):
             if w == 0:
                 break  # weights are sorted, largest first
             o = offsets[indices[v, k]]
-            turned_x, turned_y, turned_z = _turn(rotations[indices[v, k]], x, y, z)
-            a += w * (turned_x + o[0])
-            b += w * (turned_y + o[1])
-            c += w * (turned_z + o[2])
+            rotated_x, rotated_y, rotated_z = _rotate(rotations[indices[v, k]], x, y, z)
+            a += w * (rotated_x + o[0])
+            b += w * (rotated_y + o[1])
+            c += w * (rotated_z + o[2])
         out[v, 0], out[v, 1], out[v, 2] = a, b, c
 
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
 def skin_with_normals(rest, normals, indices, weights, rotations, offsets, out, directions):
-    """:func:`skin` of points, and their unit normals turned with them."""
+    """:func:`skin` of points and of their unit normals."""
     for v in range(rest.shape[0]):
         x, y, z = rest[v, 0], rest[v, 1], rest[v, 2]
         p, q, s = normals[v, 0], normals[v, 1], normals[v, 2]
@@ -44,14 +44,14 @@ def skin_with_normals(rest, normals, indices, weights, rotations, offsets, out, 
             if w == 0:
                 break
             r, o = rotations[indices[v, k]], offsets[indices[v, k]]
-            turned_x, turned_y, turned_z = _turn(r, x, y, z)
-            a += w * (turned_x + o[0])
-            b += w * (turned_y + o[1])
-            c += w * (turned_z + o[2])
-            turned_x, turned_y, turned_z = _turn(r, p, q, s)
-            d += w * turned_x
-            e += w * turned_y
-            f += w * turned_z
+            rotated_x, rotated_y, rotated_z = _rotate(r, x, y, z)
+            a += w * (rotated_x + o[0])
+            b += w * (rotated_y + o[1])
+            c += w * (rotated_z + o[2])
+            rotated_x, rotated_y, rotated_z = _rotate(r, p, q, s)
+            d += w * rotated_x
+            e += w * rotated_y
+            f += w * rotated_z
         out[v, 0], out[v, 1], out[v, 2] = a, b, c
         scale = 1 / (np.sqrt(d * d + e * e + f * f) + np.float32(1e-9))
         directions[v, 0], directions[v, 1], directions[v, 2] = d * scale, e * scale, f * scale

@@ -1,4 +1,4 @@
-"""Statistics of every region of a labelled cloud in one pass over points sorted by region."""
+"""Statistics of each region of a labelled cloud, in one pass over the points sorted by region."""
 
 from __future__ import annotations
 
@@ -7,17 +7,19 @@ import numpy as np
 
 #: Columns of a row of ``region_statistics``: median, minimum and maximum (3 each), covariance (9).
 STATISTICS = 18
+#: Bins of a histogram.
 _BINS = 512
-_SMALL = 64
+#: So few candidates are sorted.
+_SORTED_DIRECTLY = 64
 
 
 @numba.njit(cache=True, nogil=True)
 def sort_by_region(points, labels, weights, rotation, region_count):
     """Counting sort of rotated points by region.
 
-    Returns the points as (3, n), each axis contiguous; the start of each region 1…``region_count`` in them, with the
-    end of the last one; the sums of the weights; and how many points had no valid region or were not finite (then the
-    other results mean nothing).
+    Returns the points as (3, n), each axis contiguous; the start of each region 1…``region_count`` in them and the end
+    of the last one; the sums of the weights; and the number of points without a valid region or that are not finite. If
+    that is not 0, the other results are invalid.
     """
     n = labels.shape[0]
     counts = np.zeros(256, np.int64)
@@ -28,61 +30,61 @@ def sort_by_region(points, labels, weights, rotation, region_count):
         starts[region + 1] = starts[region] + counts[region + 1]
     by_region = np.empty((3, n), np.float32)
     weight_sums = np.zeros(region_count)
-    bad = n - starts[region_count]
-    if bad:
-        return by_region, starts, weight_sums, bad
-    free = starts.copy()
+    invalid = n - starts[region_count]
+    if invalid:
+        return by_region, starts, weight_sums, invalid
+    next_free = starts.copy()
     r = rotation
     for i in range(n):
         region = labels[i] - 1
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        bad += not np.isfinite(x + y + z)
-        row = free[region]
-        free[region] = row + 1
+        invalid += not np.isfinite(x + y + z)
+        row = next_free[region]
+        next_free[region] = row + 1
         by_region[0, row] = r[0, 0] * x + r[0, 1] * y + r[0, 2] * z
         by_region[1, row] = r[1, 0] * x + r[1, 1] * y + r[1, 2] * z
         by_region[2, row] = r[2, 0] * x + r[2, 1] * y + r[2, 2] * z
         weight_sums[region] += weights[i]
-    return by_region, starts, weight_sums, bad
+    return by_region, starts, weight_sums, invalid
 
 
 @numba.njit(cache=True, nogil=True)
 def median(values, low, high, bins, scratch):
-    """Exact median of finite values, of which ``low`` is the least and ``high`` the greatest.
+    """Exact median of finite values between their minimum ``low`` and maximum ``high``.
 
-    A histogram narrows the search to the few values around the middle, and only those are sorted: hardly a branch that
-    depends on the data, so several times faster than quickselect.
+    Histograms reduce the candidates to few values around the median, and only these are sorted. Hardly any branch
+    depends on the data, which makes it several times faster than quickselect.
     """
     n = values.shape[0]
     lower, upper = (n - 1) // 2, n // 2  # ranks of the two middle values, the same one when n is odd
-    below = 0  # how many values lie under all of the kept ones
-    kept = values
-    while kept.shape[0] > _SMALL and high > low:
+    below = 0  # number of values below all candidates
+    candidates = values
+    while candidates.shape[0] > _SORTED_DIRECTLY and high > low:
         scale = np.float32(_BINS) / (high - low)
-        if not 0 < scale < np.inf:  # a spread too small or too large for float32
+        if not 0 < scale < np.inf:  # a range too small or too large for float32
             break
         bins[:] = 0
-        for i in range(kept.shape[0]):
-            bins[min(int((kept[i] - low) * scale), _BINS - 1)] += 1
-        target, seen = 0, bins[0]
-        while below + seen <= lower:
+        for i in range(candidates.shape[0]):
+            bins[min(int((candidates[i] - low) * scale), _BINS - 1)] += 1
+        target, cumulative = 0, bins[0]
+        while below + cumulative <= lower:
             target += 1
-            seen += bins[target]
-        below += seen - bins[target]
+            cumulative += bins[target]
+        below += cumulative - bins[target]
         count = 0
         new_low, new_high = high, low
-        for i in range(kept.shape[0]):
-            value = kept[i]
+        for i in range(candidates.shape[0]):
+            value = candidates[i]
             if min(int((value - low) * scale), _BINS - 1) == target:
-                scratch[count] = value  # `kept` may be `scratch` itself: this never overtakes the reading
+                scratch[count] = value  # `candidates` may be `scratch` itself: this never overtakes the reading
                 count += 1
                 new_low, new_high = min(new_low, value), max(new_high, value)
-        kept, low, high = scratch[:count], new_low, new_high
-    kept = np.sort(kept) if high > low else kept
-    first = np.float64(kept[lower - below])
-    if upper - below < kept.shape[0]:
-        return 0.5 * (first + np.float64(kept[upper - below]))
-    second = np.float32(np.inf)  # the next value fell into another bin
+        candidates, low, high = scratch[:count], new_low, new_high
+    candidates = np.sort(candidates) if high > low else candidates
+    first = np.float64(candidates[lower - below])
+    if upper - below < candidates.shape[0]:
+        return 0.5 * (first + np.float64(candidates[upper - below]))
+    second = np.float32(np.inf)  # the next value is in another bin
     for i in range(n):
         if values[i] > high and values[i] < second:
             second = values[i]
@@ -93,7 +95,7 @@ def median(values, low, high, bins, scratch):
 def region_statistics(by_region, starts, min_points):
     """(regions, 18) float64 statistics, NaN for regions under ``min_points`` points, and the median of all points.
 
-    The covariance is the population's (divided by n), about the mean.
+    The covariance is divided by n.
     """
     regions = starts.shape[0] - 1
     n = by_region.shape[1]
@@ -110,7 +112,7 @@ def region_statistics(by_region, starts, min_points):
         count = end - start
         if count == 0:
             continue
-        # One pass, relative to the region's first point so that the sums of squares lose no digits.
+        # One pass, relative to the region's first point, so that the sums of squares keep their precision.
         x0, y0, z0 = by_region[0, start], by_region[1, start], by_region[2, start]
         x_low, x_high, y_low, y_high, z_low, z_high = x0, x0, y0, y0, z0, z0
         sx, sy, sz, xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

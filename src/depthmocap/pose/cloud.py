@@ -13,7 +13,7 @@ from depthmocap.body.regions import REGION_COUNT
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.depth_camera import DepthCamera
-from depthmocap.kernels.box import box_of
+from depthmocap.kernels.box import bounding_box
 from depthmocap.kernels.point_cloud import unproject_labelled
 from depthmocap.pose.labelled_view import LabelledView
 from depthmocap.pose.mirrored import undo_mirrored
@@ -80,7 +80,7 @@ def _unproject(
     rays = camera.rays if any(camera.distortion) else _NO_RAYS
     if rays.size and rays.shape[:2] != shape:
         raise InputError(f"camera {camera.name!r} is {rays.shape[:2]} (rows, columns), but its depth is {shape}")
-    box = box_of(np.ascontiguousarray(labels))
+    box = bounding_box(np.ascontiguousarray(labels))
     if box is None:
         return start
     # A pixel without a ray, outside the lens model, has no position in the world.

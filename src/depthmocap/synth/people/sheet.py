@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
 
-from depthmocap.kernels.garment import relax
+from depthmocap.kernels.garment import relax_sheet
 from depthmocap.synth.body.mesh import Body, BoneTransforms
 from depthmocap.synth.people.cloth_map import HAIR_SIDE_RAD
 from depthmocap.synth.people.shell import RestCloth
@@ -127,7 +127,7 @@ class Sheet:
             points[0] = held[self.columns]
         starts, ends = self.capsules.pose(transforms)
         margin = np.float32(self.margin_m)
-        relax(
+        relax_sheet(
             points, self.along, self.across, self.closed, starts, ends, self.capsules.start_radii + margin,
             self.capsules.end_radii + margin, np.float32(self.fall_m), np.float32(floor), self.rounds,
         )  # fmt: skip

@@ -8,7 +8,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-from depthmocap.kernels.garment import between, compression, cut, edge_lengths, hang, rings, taut, wear
+from depthmocap.kernels.garment import (
+    add_folds,
+    cut_mesh,
+    edge_compression,
+    edge_lengths,
+    hanging_offsets,
+    interpolate_cut,
+    offset_shell,
+    smooth_cloth,
+)
 from depthmocap.kernels.skin import skin_with_normals, vertex_normals
 from depthmocap.synth.body.mesh import Body, BoneTransforms
 from depthmocap.synth.people.cloth_map import ARM_M, LEG_M, SECTIONS, Anchors, ClothMap
@@ -46,7 +55,7 @@ class RestCloth:
         """The rest skin of a body."""
         cloth = ClothMap.of(body.model)
         points = body.rest_vertices[cloth.vertices]
-        over = taut(points, cloth.starts, cloth.neighbours, cloth.trunk.stop, 14)
+        over = smooth_cloth(points, cloth.starts, cloth.neighbours, cloth.trunk.stop, 14)
         # Cloth leaves the skin the way it faces itself: in a hollow the skin's own normals cross.
         normals = np.empty_like(points)
         vertex_normals(over, cloth.faces, normals)
@@ -76,7 +85,7 @@ class PosedCloth:
             transforms.rotations, transforms.offsets, points, normals,
         )  # fmt: skip
         compressed = np.empty(len(points), np.float32)
-        compression(points, cloth.starts, cloth.neighbours, rest.lengths, compressed)
+        edge_compression(points, cloth.starts, cloth.neighbours, rest.lengths, compressed)
         return cls(points, normals, compressed)
 
 
@@ -102,7 +111,7 @@ class Shell:
     def pose(self, posed: PosedCloth) -> Float[ndarray, "m 3"]:
         """Vertices over the posed skin."""
         out = np.empty((len(self.vertices), 3), np.float32)
-        wear(
+        offset_shell(
             posed.points, posed.normals, posed.compressed, self.vertices, self.partner, self.mix,
             self.thickness, self.slack, self.fold, np.float32(CREASE), out,
         )  # fmt: skip
@@ -179,7 +188,7 @@ def _air(rest: RestCloth, garment: Garment) -> Float[ndarray, "n"]:
 
     def fall(part: slice, height: Float[ndarray, "m"], radius: Float[ndarray, "m"], decay: float) -> None:
         radius = radius.astype(np.float32)
-        air[part] = hang(height, cloth.azimuth[part], radius, np.float32(0.025), np.float32(decay), 24)
+        air[part] = hanging_offsets(height, cloth.azimuth[part], radius, np.float32(0.025), np.float32(decay), 24)
 
     # Shoulders and arms carry a top; a waistband lies taut.
     top = _CARRIED_M if garment.top is None else garment.top
@@ -213,7 +222,7 @@ def _folds(
         for turns in rng.choice((-2, -1, 1, 2), 2)
     ]
     folds = np.zeros(len(level), np.float32)
-    rings(
+    add_folds(
         level, cloth.metres, cloth.azimuth, cloth.slant, np.float32(1.8) * cloth.coarse[wander],
         cloth.coarse[patches], cloth.trunk.stop, np.array(waves, np.float32), folds,
     )  # fmt: skip
@@ -244,12 +253,12 @@ def _cut(
     Fields are (thickness, slack, fold)."""
     if hidden is None:
         hidden = np.zeros(len(level), bool)
-    vertices, faces, partner, mix = cut(level, hidden, cloth.faces, cloth.starts, cloth.neighbours)
+    vertices, faces, partner, mix = cut_mesh(level, hidden, cloth.faces, cloth.starts, cloth.neighbours)
     if anchors is not None:
         vertices = np.concatenate([vertices, anchors.first])
         partner = np.concatenate([partner, anchors.second])
         mix = np.concatenate([mix, anchors.share])
-    values = [between(field, vertices, partner, mix) for field in fields]
+    values = [interpolate_cut(field, vertices, partner, mix) for field in fields]
     return Shell(vertices, partner, mix, values[0], values[1], values[2], faces, len(anchors.first) if anchors else 0)
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from depthmocap.geometry.depth_camera import DepthCamera
-from depthmocap.kernels.cast import BOX, CAPSULE, CYLINDER, ELLIPSOID, SHELL, cast, hides, holds_any
+from depthmocap.kernels.cast import BOX, CAPSULE, CYLINDER, ELLIPSOID, SHELL, cast, contains_any, mark_hidden
 from depthmocap.synth.render import Material
 
 _CORNERS = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij"), -1).reshape(8, 3)
@@ -67,12 +67,12 @@ class Solids:
 
     def hold_any(self, points: Float[ndarray, "p 3"]) -> bool:
         """Whether any of the points is within any of the solids."""
-        return bool(holds_any(self.kinds, self.halves, self.local_from_world, points))
+        return bool(contains_any(self.kinds, self.halves, self.local_from_world, points))
 
     def hide(self, eyes: Float[ndarray, "c 3"], points: Float[ndarray, "p 3"]) -> Bool[ndarray, "c p"]:
         """Which points cannot be seen from which eyes."""
         hidden = np.zeros((len(eyes), len(points)), dtype=np.bool_)
-        hides(self.kinds, self.halves, self.local_from_world, eyes.astype(float), points.astype(float), hidden)
+        mark_hidden(self.kinds, self.halves, self.local_from_world, eyes.astype(float), points.astype(float), hidden)
         return hidden
 
     def draw(self, camera: DepthCamera, depth_m: Float[ndarray, "h w"], values: UInt8[ndarray, "h w"]) -> None:

@@ -16,13 +16,13 @@ from depthmocap.kernels.sensor_errors import (
     FACING_STEP,
     MARGIN,
     Pinhole,
-    Terms,
-    blend,
+    SensorTerms,
+    blend_edges,
     cast_shadows,
-    facing,
-    field,
-    read,
-    silhouettes,
+    facing_share,
+    mark_silhouettes,
+    simulate_readings,
+    smooth_noise,
 )
 from depthmocap.synth.render import Material
 
@@ -140,13 +140,13 @@ def sense(
         cast_shadows(depth, camera.fx * model.shadow_m, dark)
     if model.multipath_m > 0:
         coarse = np.empty((-(-depth.shape[0] // FACING_STEP), -(-depth.shape[1] // FACING_STEP)), np.float32)
-        facing(depth, camera.fx, coarse)
+        facing_share(depth, camera.fx, coarse)
         faced = cv2.resize(coarse, depth.shape[::-1], interpolation=cv2.INTER_LINEAR)
     blocks = np.zeros((0, 0), np.bool_)
     farthest_px = max(3 * model.lateral_px, 3 * model.fatten_px, *model.lost_px)
     if farthest_px > 0 or model.flying > 0:
         blocks = np.zeros((-(-depth.shape[0] // EDGE_BLOCK), -(-depth.shape[1] // EDGE_BLOCK)), np.bool_)
-        silhouettes(depth, int(min(np.ceil(farthest_px), MARGIN)) // EDGE_BLOCK + 1, blocks)
+        mark_silhouettes(depth, int(min(np.ceil(farthest_px), MARGIN)) // EDGE_BLOCK + 1, blocks)
     cells = (model.patch_px, model.patch_px, model.patch_px, model.wave_px, model.hole_px)
     used = (
         model.patch_px > 1,
@@ -158,7 +158,7 @@ def sense(
     smooth = np.empty((len(cells) if any(used) else 0, *depth.shape), np.float32)
     for i, cell in enumerate(cells):
         if used[i]:
-            field(seed + 10 + i, cell, smooth[i])
+            smooth_noise(seed + 10 + i, cell, smooth[i])
     if used[3] and used[4]:
         # Holes of two sizes: where matching is poor it is so over a wide area.
         smooth[4] = np.sqrt(0.5) * (smooth[3] + smooth[4])
@@ -166,7 +166,7 @@ def sense(
     cx, cy = camera.cx - columns[0], camera.cy - rows[0]
     pinhole = Pinhole(float(camera.fx), float(camera.fy), float(cx), float(cy), float(corner2))
     reflectance = np.array(model.reflectance, np.float32)
-    read(
+    simulate_readings(
         _with_margin(depth, box, depth_m.shape),
         what,
         reflectance,
@@ -180,7 +180,7 @@ def sense(
         out[box],
     )
     if model.blend > 0:
-        blend(out.copy(), model.blend, seed + 4, out)
+        blend_edges(out.copy(), model.blend, seed + 4, out)
     return out
 
 
@@ -201,11 +201,11 @@ def _with_margin(
     return wide
 
 
-def _terms(model: SensorModel, camera: DepthCamera) -> Terms:
+def _terms(model: SensorModel, camera: DepthCamera) -> SensorTerms:
     counted = model.disparity_step_px > 0
     disparity = camera.fx * model.baseline_m / model.disparity_step_px if counted else 0.0
-    named = {name: float(getattr(model, name)) for name in Terms._fields if hasattr(model, name)}
-    return Terms(
+    named = {name: float(getattr(model, name)) for name in SensorTerms._fields if hasattr(model, name)}
+    return SensorTerms(
         axial_0=float(model.axial_m[0]),
         axial_1=float(model.axial_m[1]),
         axial_2=float(model.axial_m[2]),
