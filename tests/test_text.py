@@ -8,9 +8,9 @@ from rich.table import Table
 from rich.text import Text
 
 from depthmocap.cli import main
-from depthmocap.core.console import Terminal, description
+from depthmocap.core.console import Terminal, progress_text
 from depthmocap.errors import LONGEST, InputError
-from depthmocap.text import cameras, harmless, joined, shortened
+from depthmocap.text import camera_list, harmless, joined, shortened
 
 HOSTILE = "left[/x]\x1b[2J\x07\r\n• forged :bug: \u202e\udcff"
 SHOWN = r"left[/x]\x1b[2J\x07\r\n• forged :bug: \u202e\udcff"
@@ -35,7 +35,7 @@ def test_the_terminal_shows_hostile_text_on_one_line_by_whatever_way_it_comes() 
     table.add_row(Text(HOSTILE))
     console.print(HOSTILE)
     console.print(table)
-    for _ in track(range(1), description(HOSTILE), console=console):
+    for _ in track(range(1), progress_text(HOSTILE), console=console):
         pass
     with Live(table, console=console):
         pass
@@ -70,8 +70,8 @@ def test_no_text_is_longer_than_what_it_may_be(text: str) -> None:
 
 
 def test_what_is_told_of_several_is_one_sentence() -> None:
-    assert cameras(["a"]) == "camera 'a'"
-    assert cameras(["a", "b", "c"]) == "cameras 'a', 'b' and 'c'"
+    assert camera_list(["a"]) == "camera 'a'"
+    assert camera_list(["a", "b", "c"]) == "cameras 'a', 'b' and 'c'"
     assert joined([]) == ""
     assert joined(["one is bad.", "one is bad", "two is bad"]) == "one is bad; two is bad"
     assert joined(["a", "b", "c", "d"]) == "a; b; and 2 more"

@@ -16,9 +16,9 @@ from rich.text import Text
 
 from depthmocap.commands import COMMANDS, GROUPS, Command
 from depthmocap.completion import SHELLS, completion_script
-from depthmocap.core.console import OneLine, Terminal
-from depthmocap.core.interrupts import ended_by_signals
-from depthmocap.core.standard_streams import lasting_streams
+from depthmocap.core.console import OneLineFormatter, Terminal
+from depthmocap.core.interrupts import handled_signals
+from depthmocap.core.standard_streams import fault_tolerant_streams
 from depthmocap.core.version import __version__
 from depthmocap.errors import InputError
 
@@ -82,9 +82,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Run one command; returns the exit status. Bad input is one line on stderr and status 2; SIGTERM and SIGHUP end
     a command as Ctrl-C does, everything written, with status 143 and 129. Work goes on when nobody can be told of it,
     and text for the standard output that could not be written is status 1."""
-    with lasting_streams() as out:
+    with fault_tolerant_streams() as out:
         try:
-            with ended_by_signals() as ending:
+            with handled_signals() as ending:
                 status = _main(arguments)
         except SystemExit as end:  # of the parser
             raise SystemExit(end.code or out.status()) from None
@@ -118,7 +118,7 @@ def _main(arguments: list[str] | None) -> int:
     # Third-party warnings about their own futures mean nothing to a user.
     warnings.simplefilter("ignore", DeprecationWarning)
     if logging.lastResort is not None:  # which prints our warnings where nobody has asked for others
-        logging.lastResort.setFormatter(OneLine())
+        logging.lastResort.setFormatter(OneLineFormatter())
     try:
         settings_type, function = command.load()
         function(_parse(settings_type, rest, f"depthmocap {command.words}"))

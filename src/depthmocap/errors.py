@@ -1,13 +1,13 @@
-"""The one error type that user input can cause."""
+"""The only type of error that user input causes."""
 
 from depthmocap.text import harmless, shortened
 
-#: Letters of a message: less than 300 with what stands before it on the terminal.
+#: Largest number of characters of a message: less than 300 together with its prefix on the terminal.
 LONGEST = 290
 
 
 class InputError(ValueError):
-    """Bad input. The message names the file or value, what was expected, and the fix; it is one line of bounded length,
+    """Bad input. The message names the file or value, what was expected, and the fix. It is one line of limited length,
     whatever it quotes."""
 
     def __init__(self, message: str) -> None:
@@ -15,5 +15,5 @@ class InputError(ValueError):
 
 
 def missing_extra(package: str, extra: str) -> InputError:
-    """Error for an optional dependency that is not installed."""
+    """The error for an optional dependency that is not installed."""
     return InputError(f"this needs the package '{package}': pip install 'depthmocap[{extra}]'")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import depthmocap
-from depthmocap.core.caches import see_to_home
+from depthmocap.core.caches import ensure_home
 from depthmocap.errors import InputError
 
 _KERNEL = """
@@ -107,12 +107,12 @@ def test_a_user_without_a_home(tmp_path: Path, monkeypatch, caplog) -> None:
 
     monkeypatch.setattr("depthmocap.core.caches._folder", lambda: tmp_path)
     monkeypatch.setenv("HOME", "")
-    see_to_home()
+    ensure_home()
     assert os.environ["HOME"] == ""
     monkeypatch.setattr(Path, "home", home)
-    see_to_home()
+    ensure_home()
     assert os.environ["HOME"] == str(tmp_path / "home")
     assert "set HOME to a folder that lasts" in caplog.text
     monkeypatch.setattr("depthmocap.core.caches._folder", lambda: tmp_path / "none")
     with pytest.raises(InputError, match="set HOME to a folder that can be written"):
-        see_to_home()
+        ensure_home()

@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from depthmocap.core.interrupts import ended_by_signals, finishing, keeping_handlers
+from depthmocap.core.interrupts import deferred_interrupts, handled_signals, preserved_handlers
 from depthmocap.synth.writing.workers import ordered
 
 pytestmark = pytest.mark.usefixtures("usual_signals")
@@ -18,7 +18,7 @@ posix = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="signals of POS
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
 def test_a_signal_interrupts_once_and_is_the_status(name: str) -> None:
     number = getattr(signal, name)
-    with ended_by_signals() as ending:
+    with handled_signals() as ending:
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(number)
         signal.raise_signal(number)  # the shell's, of the same closed terminal
@@ -31,22 +31,22 @@ def test_a_signal_interrupts_once_and_is_the_status(name: str) -> None:
 
 @posix
 def test_results_are_written_to_their_end() -> None:
-    with ended_by_signals() as ending:
+    with handled_signals() as ending:
         written = []
-        with pytest.raises(KeyboardInterrupt), finishing():
+        with pytest.raises(KeyboardInterrupt), deferred_interrupts():
             signal.raise_signal(signal.SIGTERM)
-            with finishing():
+            with deferred_interrupts():
                 written.append(1)
             written.append(2)
         assert written == [1, 2]
-        with pytest.raises(KeyboardInterrupt), finishing():
+        with pytest.raises(KeyboardInterrupt), deferred_interrupts():
             signal.raise_signal(signal.SIGINT)
             signal.raise_signal(signal.SIGINT)  # who insists
             written.append(3)
         assert (written, ending.status) == ([1, 2], 143)
-        with pytest.raises(RuntimeError), finishing():
+        with pytest.raises(RuntimeError), deferred_interrupts():
             raise RuntimeError
-    with finishing():
+    with deferred_interrupts():
         pass
 
 
@@ -54,9 +54,9 @@ def test_results_are_written_to_their_end() -> None:
 def test_what_is_ignored_or_handled_stays_so() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # nohup
     try:
-        with ended_by_signals() as ending:
+        with handled_signals() as ending:
             signal.raise_signal(signal.SIGHUP)
-            with keeping_handlers():
+            with preserved_handlers():
                 signal.signal(signal.SIGTERM, signal.SIG_IGN)
             with pytest.raises(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGTERM)

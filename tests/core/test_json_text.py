@@ -12,7 +12,7 @@ from depthmocap.core.reading.json_text import (
     DEEPEST,
     array,
     number,
-    number_of_text,
+    number_from_text,
     parse_json,
     read_json,
     whole_number,
@@ -66,7 +66,7 @@ def test_large_documents_are_refused_before_they_are_parsed(tmp_path: Path, monk
 def test_numbers_are_numbers() -> None:
     assert number(3, "x") == 3.0
     assert whole_number(512.0, "x") == 512
-    assert number_of_text(" 1e-3 ", "x") == 0.001
+    assert number_from_text(" 1e-3 ", "x") == 0.001
     for value in (True, "3", None, math.nan, math.inf, 10**400, [3]):
         with pytest.raises(InputError, match="fx must be a finite number, got"):
             number(value, "fx")
@@ -75,7 +75,7 @@ def test_numbers_are_numbers() -> None:
             whole_number(value, "width")
     for text in ("x", "nan", "inf", "1e999", ""):
         with pytest.raises(InputError, match="unit must be a finite number, got"):
-            number_of_text(text, "unit")
+            number_from_text(text, "unit")
 
 
 def test_arrays_have_the_shape_that_is_due() -> None:

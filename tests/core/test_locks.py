@@ -13,15 +13,15 @@ from pathlib import Path
 import pytest
 
 from depthmocap.commands import COMMANDS
-from depthmocap.core.locks import own_file, own_folder, owns
-from depthmocap.core.output import remove_unfinished, replacing, write_file
+from depthmocap.core.locks import lock_file, lock_folder, locks_outputs
+from depthmocap.core.output import atomic_write, remove_unfinished, write_file
 from depthmocap.errors import InputError
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from depthmocap.core.locks import own_folder
-with own_folder(Path(sys.argv[1])):
+from depthmocap.core.locks import lock_folder
+with lock_folder(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)
 """
@@ -33,17 +33,17 @@ def test_a_folder_is_one_processs_until_it_dies(tmp_path: Path) -> None:
         assert other.stdout is not None
         assert other.stdout.readline() == b"held\n"
         with pytest.raises(InputError, match=rf"out is being written by process {other.pid} on .*: wait for it"):
-            own_folder(folder).__enter__()
+            lock_folder(folder).__enter__()
         assert (folder / ".lock").exists()  # who was refused has not removed it
         other.kill()
     assert (folder / ".lock").exists()
     (folder / ".pose.part-123.csv").touch()  # as a killed process leaves
-    with own_folder(folder):
+    with lock_folder(folder):
         assert [path.name for path in folder.iterdir()] == [".lock"]
-        with pytest.raises(InputError, match=f"by process {os.getpid()} on"), own_folder(folder):
+        with pytest.raises(InputError, match=f"by process {os.getpid()} on"), lock_folder(folder):
             pass
     assert list((tmp_path / "new").iterdir()) == [folder]  # it was there before
-    with own_folder(tmp_path / "second"):
+    with lock_folder(tmp_path / "second"):
         pass
     assert not (tmp_path / "second").exists()
 
@@ -55,7 +55,7 @@ def test_a_lock_is_no_way_to_another_file(tmp_path: Path) -> None:
         folder = tmp_path / make.__name__
         folder.mkdir()
         make(folder / ".lock", precious)
-        with pytest.raises(InputError, match=r"\.lock is a link or no file.*remove it"), own_folder(folder):
+        with pytest.raises(InputError, match=r"\.lock is a link or no file.*remove it"), lock_folder(folder):
             pass
         assert precious.read_text() == "kept"
     for name in ("mkdir", "mkfifo"):
@@ -64,10 +64,10 @@ def test_a_lock_is_no_way_to_another_file(tmp_path: Path) -> None:
         folder = tmp_path / name
         folder.mkdir()
         getattr(os, name)(folder / ".lock")
-        with pytest.raises(InputError, match="is a link or no file"), own_folder(folder):
+        with pytest.raises(InputError, match="is a link or no file"), lock_folder(folder):
             pass
     (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="cannot write"), own_folder(tmp_path / "file"):
+    with pytest.raises(InputError, match="cannot write"), lock_folder(tmp_path / "file"):
         pass
 
 
@@ -80,12 +80,12 @@ class _Settings:
 def test_a_command_owns_what_its_settings_name(tmp_path: Path) -> None:
     settings = _Settings(tmp_path / "out", tmp_path / "a.json")
 
-    @owns(folder="out", files=("json",))
+    @locks_outputs(folder="out", files=("json",))
     def command(settings: _Settings, more: int = 0) -> int:
-        for taken in (own_folder(settings.out), own_file(tmp_path / "a.json")):
+        for taken in (lock_folder(settings.out), lock_file(tmp_path / "a.json")):
             with pytest.raises(InputError, match="is being written"), taken:
                 pass
-        with own_file(tmp_path / "b.json"):  # of the same folder, which nobody owns
+        with lock_file(tmp_path / "b.json"):  # of the same folder, which nobody locks_outputs
             return more
 
     assert command(settings, more=2) == 2
@@ -95,7 +95,7 @@ def test_a_command_owns_what_its_settings_name(tmp_path: Path) -> None:
 def test_every_command_owns_what_it_writes() -> None:
     pytest.importorskip("torch")
     pytest.importorskip("anny")
-    # New files alone; a recording folder, which its writer owns; a folder for each split.
+    # New files alone; a recording folder, which its writer locks_outputs; a folder for each split.
     otherwise = {"record", "recover", "convert", "synth"}
     for command in COMMANDS:
         module = importlib.import_module(command.module)
@@ -108,7 +108,10 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
     path = tmp_path / "folder" / "Küche.json"
     write_file(path, "grün\n")
     assert path.read_bytes() == "grün\n".encode()
-    with pytest.raises(InputError, match=r"cannot write .*Küche\.json: No space left"), replacing(path) as unfinished:
+    with (
+        pytest.raises(InputError, match=r"cannot write .*Küche\.json: No space left"),
+        atomic_write(path) as unfinished,
+    ):
         assert unfinished.suffix == ".json"
         unfinished.write_text("half")
         raise OSError(errno.ENOSPC, "No space left on device")

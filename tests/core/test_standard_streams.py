@@ -14,7 +14,7 @@ import pytest
 from file_contents import tree
 
 from depthmocap.cli import main
-from depthmocap.core.standard_streams import LastingStream
+from depthmocap.core.standard_streams import FaultTolerantStream
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.recordings.recording_writer import RecordingWriter
@@ -101,7 +101,7 @@ def test_any_name_in_any_locale(recording: Path, tmp_path: Path) -> None:
 
 def test_letters_that_the_encoding_lacks() -> None:
     data = io.BytesIO()
-    stream = LastingStream(io.TextIOWrapper(data, encoding="latin-1"))
+    stream = FaultTolerantStream(io.TextIOWrapper(data, encoding="latin-1"))
     assert stream.write("• Küche \udcff") == 9
     stream.flush()
     assert data.getvalue() == b"\\u2022 K\xfcche \\udcff"
@@ -110,6 +110,6 @@ def test_letters_that_the_encoding_lacks() -> None:
 
 def test_a_stream_that_is_closed_here() -> None:
     file = io.StringIO()
-    stream = LastingStream(file)
+    stream = FaultTolerantStream(file)
     file.close()
     assert stream.write("gone") == 4 and stream.status() == 1

@@ -181,7 +181,7 @@ def test_signals_end_a_run_with_everything_written(recording, tmp_path, monkeypa
             signal.raise_signal(number)
 
     def write_trc_late(*arguments):
-        monkeypatch.setattr("depthmocap.core.interrupts._SAME_S", 0.0)
+        monkeypatch.setattr("depthmocap.core.interrupts._REPEAT_S", 0.0)
         signal.raise_signal(signal.SIGTERM)
         write_trc(*arguments)
 

@@ -23,7 +23,7 @@ from depthmocap.calibration.upright import Upright, find_upright
 from depthmocap.calibration.verdict import PairVerdict, find_warnings, judge_pairs
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
+from depthmocap.core.locks import locks_outputs
 from depthmocap.core.output import check_outputs, write_json
 from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError
@@ -32,7 +32,7 @@ from depthmocap.geometry import Rig, save_rig, transform_points, z_up_from
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.recordings.recording import Recording
 from depthmocap.segment.static_scene import PersonSegmenter
-from depthmocap.text import cameras, joined
+from depthmocap.text import camera_list, joined
 
 _GRADES = ("good", "fair", "poor")
 _FLOORS = {
@@ -182,7 +182,7 @@ def _no_pair_message(names: tuple[str, ...], observations: list[Observation], pl
         f"{name} in {len(observation.track.times_s)}" for name, observation in zip(names, observations, strict=True)
     )
     best = max(placement.pairs.items(), key=lambda item: item[1].agreed, default=None)
-    lack = f"; of {cameras([names[index] for index in best[0]])} {why_unreliable(best[1])}" if best else ""
+    lack = f"; of {camera_list([names[index] for index in best[0]])} {why_unreliable(best[1])}" if best else ""
     return (
         f"no two cameras see the same person often enough: somebody is found by {counts} frames{lack}; walk where two "
         "cameras see the whole body, for 20 s or more, with nobody else in view"
@@ -203,7 +203,7 @@ def _why_unplaced(index: int, names: tuple[str, ...], observations: list[Observa
     return f"with {best!r} {why_unreliable(placed[best])}"
 
 
-@owns(files=("out", "page", "json"))
+@locks_outputs(files=("out", "page", "json"))
 def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Calibration:
     """Place the cameras of a recording, write the rig and the page, and print the verdict.
 

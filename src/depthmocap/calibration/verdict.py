@@ -17,7 +17,7 @@ from depthmocap.calibration.camera_placement import Placement, mean_joints
 from depthmocap.calibration.pairs import AGREES_M, LEAST_JOINTS, align, usable_joints
 from depthmocap.calibration.refine import RefinedPlacement
 from depthmocap.geometry import transform_points
-from depthmocap.text import cameras
+from depthmocap.text import camera_list
 
 Grade = Literal["good", "fair", "poor"]
 #: Largest uncertainty of a good pair: of the person's position (metres) and of the rotation (degrees).
@@ -118,7 +118,7 @@ def find_warnings(names: Sequence[str], placement: Placement, pairs: Sequence[Pa
     if few:
         most = max(best_of[name].agreed_poses for name in few)
         warnings.append(
-            f"{cameras(few)} {'share' if len(few) > 1 else 'shares'} at most {most} poses with any other: walk for "
+            f"{camera_list(few)} {'share' if len(few) > 1 else 'shares'} at most {most} poses with any other: walk for "
             "longer where two see the whole body"
         )
     for name, best in best_of.items():

@@ -15,8 +15,8 @@ from depthmocap.cameras.modes import ModeRequest
 from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.cameras.source import OPEN_S, CameraError, ConnectedCamera, DepthSource
 from depthmocap.cameras.time_limit import CallTimeoutError, call_with_timeout
+from depthmocap.core.camera_names import safe_name
 from depthmocap.core.console import Terminal
-from depthmocap.core.names import safe_name
 from depthmocap.errors import InputError
 
 #: The module of each back end. It has ``find_cameras()``, which lists the connected devices, and

@@ -26,10 +26,10 @@ from jaxtyping import UInt16
 from numpy import ndarray
 
 from depthmocap.cameras.time_limit import CallTimeoutError, call_with_timeout
-from depthmocap.core.names import check_camera_name
+from depthmocap.core.camera_names import check_camera_name
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
-from depthmocap.text import cameras
+from depthmocap.text import camera_list
 
 #: Seconds that the reading thread waits for a frame before it checks whether it shall stop.
 _POLL_S = 0.5
@@ -278,7 +278,7 @@ def missing_source_problems(rig: Rig, names: Collection[str]) -> list[str]:
     """A line about the cameras of the rig for which no source of their name was given; empty if there are none."""
     missing = [name for name in rig.names if name not in names]
     if len(missing) > 1:
-        return [f"the rig has {cameras(missing)}, but no sources of those names were given; going on without them"]
+        return [f"the rig has {camera_list(missing)}, but no sources of those names were given; going on without them"]
     return [
         f"the rig has a camera {name!r}, but no source of that name was given; going on without it" for name in missing
     ]

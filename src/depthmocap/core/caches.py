@@ -1,4 +1,4 @@
-"""Where libraries keep what takes long to make: a folder until this process ends, where theirs cannot be written."""
+"""Temporary caches for libraries whose own cache folder cannot be written."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from depthmocap.errors import InputError
 
 
 def temporary_cache(variable: str, why: str) -> Path:
-    """Have a library use a folder of this process for its cache, by its environment variable, which processes started
-    from now on inherit; one line on stderr tells it.
+    """Make a library use a temporary folder for its cache, by setting its environment variable, and log a warning.
+    Processes that are started later inherit the variable.
 
     Args:
-        why: what of it cannot be written, for the message.
+        why: what cannot be written, for the message.
 
     Raises:
         InputError: when there is no temporary folder either.
@@ -35,9 +35,9 @@ def temporary_cache(variable: str, why: str) -> Path:
     return folder
 
 
-def see_to_home() -> None:
-    """Have a folder for HOME where the system knows none (a container's user without a name): libraries would take
-    ``~`` for the name of a folder, or fail."""
+def ensure_home() -> None:
+    """Set HOME to a temporary folder if the system knows none (a container's user without a name). Otherwise libraries
+    would create a folder named ``~``, or fail."""
     try:
         Path.home()
     except RuntimeError:
@@ -46,7 +46,7 @@ def see_to_home() -> None:
 
 @functools.cache
 def _folder() -> Path:
-    """Made for this user alone, because what is compiled is run: one of a known name could be prepared by others."""
+    """A folder for this user alone. Compiled code in it is run, so others must not be able to prepare it."""
     folder, process = tempfile.mkdtemp(prefix="depthmocap-"), os.getpid()
 
     def remove() -> None:

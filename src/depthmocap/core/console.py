@@ -1,4 +1,4 @@
-"""The terminal: what is printed there is data, and can neither steer it nor forge lines."""
+"""Output to the terminal. Printed data can neither control the terminal nor forge lines."""
 
 from __future__ import annotations
 
@@ -11,23 +11,22 @@ from rich.markup import escape
 from rich.segment import Segment
 from rich.text import Text
 
-from depthmocap.core.standard_streams import lasting
+from depthmocap.core.standard_streams import fault_tolerant
 from depthmocap.text import harmless
 
 
 class Terminal(Console):
-    """A console for which no text is markup. A string, also one in a table, is one line; nothing that is printed, by
-    whatever way, holds a control character that is not the console's own. Work does not end because it cannot be told
-    of: what its stream does not take is dropped."""
+    """A console that interprets no text as markup. Every string is one line, also in a table, and no output contains
+    control characters except the console's own. Text that the stream does not take is dropped; work continues."""
 
     def __init__(self, **options: Any) -> None:
-        """``options``: of rich's console."""
+        """``options``: those of rich's console."""
         super().__init__(markup=False, highlight=False, emoji=False, **options)
 
     @property
     def file(self) -> IO[str]:
-        """What it prints to."""
-        return lasting(cast(TextIO, super().file))
+        """The stream to which it prints."""
+        return fault_tolerant(cast(TextIO, super().file))
 
     @file.setter
     def file(self, new_file: IO[str]) -> None:
@@ -45,13 +44,13 @@ class Terminal(Console):
                 yield Segment("\n".join(map(harmless, text.split("\n"))), segment.style)
 
 
-class OneLine(logging.Formatter):
-    """Warnings as harmless lines."""
+class OneLineFormatter(logging.Formatter):
+    """Formats log messages as one harmless line."""
 
     def format(self, record: logging.LogRecord) -> str:
         return harmless(super().format(record))
 
 
-def description(text: str) -> str:
-    """Text of others as the description of a progress bar, which would be read as markup."""
+def progress_text(text: str) -> str:
+    """Text from outside as the description of a progress bar, escaped because rich reads it as markup."""
     return escape(harmless(text))

@@ -1,4 +1,4 @@
-"""Who writes where: a folder, or a file, of results belongs to one process at a time."""
+"""Locks on results: only one process at a time may write a folder or a file."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ _Settings = TypeVar("_Settings")
 _More = ParamSpec("_More")
 _Result = TypeVar("_Result")
 
-#: The file in a folder that tells who has it.
+#: The file in a folder that names the process that has locked it.
 LOCK_FILE = ".lock"
-#: What is read of another's lock.
+#: Bytes that are read of another process's lock file.
 _MOST_BYTES = 200
-#: File systems without locks, such as some of networks.
+#: Errors of file systems without locks, such as some network file systems.
 _NO_LOCKS = {getattr(errno, name) for name in ("ENOLCK", "ENOTSUP", "EOPNOTSUPP", "ENOSYS") if hasattr(errno, name)}
 _LOG = logging.getLogger(__name__)
 
 
-def owns(
+def locks_outputs(
     folder: str | None = None, files: tuple[str, ...] = ()
 ) -> Callable[[Callable[Concatenate[_Settings, _More], _Result]], Callable[Concatenate[_Settings, _More], _Result]]:
-    """For the function of a command: while it works, what its settings name is its own.
+    """Decorate the function of a command, so that it locks the outputs that its settings name while it runs.
 
     Args:
-        folder: the setting that is a folder of results (see :func:`own_folder`).
-        files: settings that are files of results, or None (see :func:`own_file`).
+        folder: the setting with the folder of results, locked by :func:`lock_folder`.
+        files: the settings with files of results, which may be None, locked by :func:`lock_file`.
     """
 
     def decorate(
@@ -49,10 +49,10 @@ def owns(
 
             with contextlib.ExitStack() as stack:
                 if folder is not None and named(folder) is not None:
-                    stack.enter_context(own_folder(named(folder)))
-                # Two options may name one file by mistake, which the command tells of.
+                    stack.enter_context(lock_folder(named(folder)))
+                # Two options may name one file by mistake; the command itself reports that.
                 for path in {path.resolve(): path for path in map(named, files) if path is not None}.values():
-                    stack.enter_context(own_file(path))
+                    stack.enter_context(lock_file(path))
                 return function(settings, *more, **others)
 
         return command
@@ -61,16 +61,15 @@ def owns(
 
 
 @contextlib.contextmanager
-def own_folder(folder: Path) -> Iterator[None]:
-    """Make a folder for results, keep other processes and threads out while it is written, and remove files that a
-    killed process did not finish (:func:`~depthmocap.core.output.replacing`). A new folder into which nothing was
-    written is removed.
+def lock_folder(folder: Path) -> Iterator[None]:
+    """Make a folder for results, lock it against other processes and threads, and remove files that a killed process
+    did not finish (:func:`~depthmocap.core.output.atomic_write`). A new folder that stays empty is removed.
 
-    The file ``.lock`` in it tells who has it. The operating system's lock on that file counts, not its presence: what
-    a killed process leaves does not lock.
+    The file ``.lock`` in it names the process. The operating system's lock on that file counts, not its presence, so a
+    file that a killed process has left does not lock.
 
     Raises:
-        InputError: when another has the folder, it cannot be written, or its ``.lock`` is a link or no file.
+        InputError: when another process has the folder, it cannot be written, or its ``.lock`` is a link or no file.
     """
     with _made(folder), _locked(folder / LOCK_FILE, folder):
         remove_unfinished(folder)
@@ -78,11 +77,11 @@ def own_folder(folder: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def own_file(path: Path) -> Iterator[None]:
-    """Keep other processes and threads from writing a file of results, by a lock's file ``.NAME.lock`` beside it.
+def lock_file(path: Path) -> Iterator[None]:
+    """Lock a file of results against other processes and threads, with a lock file ``.NAME.lock`` beside it.
 
     Raises:
-        InputError: as :func:`own_folder`.
+        InputError: like :func:`lock_folder`.
     """
     with _made(path.parent), _locked(path.with_name(f".{path.name}{LOCK_FILE}"), path):
         remove_unfinished(path.parent, path)
@@ -98,7 +97,7 @@ def _made(folder: Path) -> Iterator[None]:
         yield
     finally:
         if new:
-            with contextlib.suppress(OSError):  # it holds something
+            with contextlib.suppress(OSError):  # the folder is not empty
                 folder.rmdir()
 
 
@@ -112,8 +111,8 @@ def _locked(path: Path, what: Path) -> Iterator[None]:
             file.flush()
         yield
     finally:
-        # Removed while it is locked, so that nobody who has it open takes it for the folder's. Windows removes no open
-        # file; who opens it between the two lines keeps it.
+        # Removed while it is locked, so that a process that has opened it notices. Windows cannot remove an open file,
+        # so there a process that opens it between the two lines keeps it.
         with contextlib.suppress(OSError):
             path.unlink()
         file.close()
@@ -123,7 +122,7 @@ def _locked(path: Path, what: Path) -> Iterator[None]:
 
 
 def _open_locked(path: Path, what: Path) -> BinaryIO:
-    """The file, locked. It may have been removed by who had it between opening and locking: then anew."""
+    """Open and lock the file; try again if its owner has removed it between opening and locking."""
     while True:
         file = _open(path)
         try:
@@ -141,12 +140,12 @@ def _open_locked(path: Path, what: Path) -> BinaryIO:
 
 
 def _open(path: Path) -> BinaryIO:
-    """Open a lock's file, or make it, and nothing that a link or a name of the same file elsewhere leads to."""
+    """Open or make a lock file, but never a link to another file, symbolic or hard."""
     foreign = InputError(f"{path} is a link or no file, so that {path.parent} cannot be locked: remove it")
     if path.is_symlink():
         raise foreign
     flags = os.O_RDWR | os.O_CREAT
-    # Windows has none of these: there the check above is all.
+    # Windows lacks these flags, so only the check above protects there.
     for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"):
         flags |= getattr(os, name, 0)
     try:
@@ -155,8 +154,8 @@ def _open(path: Path) -> BinaryIO:
         if error.errno in (errno.ELOOP, errno.EISDIR, errno.ENXIO):
             raise foreign from None
         raise InputError(f"cannot write {path}: {error.strerror}") from None
-    found = os.fstat(descriptor)
-    if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
+    status = os.fstat(descriptor)
+    if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
         os.close(descriptor)
         raise foreign
     return os.fdopen(descriptor, "r+b")
@@ -165,7 +164,7 @@ def _open(path: Path) -> BinaryIO:
 def _try_lock(file: BinaryIO, what: Path) -> bool:
     try:
         import fcntl
-    except ImportError:  # Windows, where the lock is on a byte behind those that are read
+    except ImportError:  # Windows: the lock is on a byte behind the text, which stays readable
         import msvcrt
 
         try:

@@ -1,4 +1,4 @@
-"""Networks in ONNX files, ready to run."""
+"""Opens networks in ONNX files."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from depthmocap.errors import InputError
 if TYPE_CHECKING:
     import onnxruntime
 
-#: Bytes of a file, at most.
+#: Largest size of a file (bytes).
 _LARGEST = 1 << 30
 
 
 def open_network(source: Path, missing: str) -> onnxruntime.InferenceSession:
-    """A network that runs on one core.
+    """Open a network, which runs on one core.
 
     Args:
-        missing: what to give, for the message where there is no such file.
+        missing: what to do if there is no such file, for the message.
 
     Raises:
         InputError: when the file cannot be read or is no network.
@@ -29,14 +29,14 @@ def open_network(source: Path, missing: str) -> onnxruntime.InferenceSession:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.log_severity_level = 3
-    # The runtime itself opens no file whose path is not UTF-8.
+    # The runtime cannot open a path that is not UTF-8, so it gets the bytes.
     data = read_bytes(source, _LARGEST, missing)
     try:
         session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-        # Names that are no text are told of when they are asked for.
+        # The runtime reports names that are no text only when they are read.
         _ = [end.name for end in (*session.get_inputs(), *session.get_outputs())]
         _ = session.get_modelmeta().custom_metadata_map
     except Exception as error:  # the runtime's errors share no public base class
-        told = (str(error) or type(error).__name__).splitlines()[0]
-        raise InputError(f"{source} is not a readable ONNX network: {told}") from None
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise InputError(f"{source} is not a readable ONNX network: {reason}") from None
     return session

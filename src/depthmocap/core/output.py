@@ -25,25 +25,26 @@ def writing(path: Path) -> Iterator[None]:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error
 
 
-#: Names under which files are written until they are whole.
+#: Names of files that are not written completely.
 _UNFINISHED = re.compile(r"\.(.*)\.part-\d+(\..*)?")
-#: Letters of a file's name that such a name has at most: names have an end.
+#: Number of characters of the file's name in such a name, because the length of names is limited.
 _KEPT = 60
 
 
 @contextlib.contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """A file beside ``path``, with its ending, to be written within; afterwards it takes the place of ``path``, so that
-    this is there whole or as it was before, whatever happens. After an error nothing of it is left. Folders are made.
+def atomic_write(path: Path) -> Iterator[Path]:
+    """Write a file atomically: yields a temporary path beside ``path`` with the same ending, to be written in the body,
+    and then moves it to ``path``. So ``path`` is complete or unchanged, whatever happens, and after an error the
+    temporary file is removed. Missing folders are made.
 
     Raises:
-        InputError: when it cannot be written; of an ``OSError`` within, too.
+        InputError: when the file cannot be written, and for an ``OSError`` in the body.
     """
     unfinished = path.with_name(f".{path.stem[:_KEPT]}.part-{os.getpid()}{path.suffix}")
     with writing(path):
         _check_replaceable(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        # Of a killed process with this one's number; or a link, which must not be followed.
+        # A file of a killed process with the same number, or a link, which must not be followed.
         unfinished.unlink(missing_ok=True)
         try:
             yield unfinished
@@ -54,23 +55,23 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_file(path: Path, data: bytes | memoryview | str) -> None:
-    """Write a file in one piece (see :func:`replacing`), text as UTF-8 with the line ends it has. Bytes of a path that
-    are no UTF-8 are escaped, as JSON escapes them: ``\\udcff``.
+    """Write a file by :func:`atomic_write`, text as UTF-8 with its own line ends. Bytes of a path that are no UTF-8 are
+    escaped as in JSON: ``\\udcff``.
 
     Raises:
         InputError: when it cannot be written.
     """
-    with replacing(path) as unfinished:
+    with atomic_write(path) as unfinished:
         unfinished.write_bytes(data.encode(errors="backslashreplace") if isinstance(data, str) else data)
 
 
 def open_new(path: Path) -> io.BufferedWriter:
-    """Open a file that is written as it grows, and is of use before it is whole. It takes the place of a file of its
-    name; of a link only the link, so that nothing elsewhere is written over.
+    """Open a file that grows and is useful before it is complete. It replaces an existing file; of a link it replaces
+    the link itself, not the linked file.
 
     Raises:
-        InputError: when something else is in its place.
-        OSError: when it cannot be made.
+        InputError: when the path is something other than a file.
+        OSError: when the file cannot be made.
     """
     while True:
         try:
@@ -81,7 +82,7 @@ def open_new(path: Path) -> io.BufferedWriter:
 
 
 def make_inner_folder(folder: Path) -> None:
-    """Make a folder in one of results, if it is not there.
+    """Make a folder inside a folder of results, if it does not exist.
 
     Raises:
         InputError: when it cannot be made, or is a link to a folder elsewhere.
@@ -98,8 +99,8 @@ def _check_replaceable(path: Path) -> None:
 
 
 class LineFile:
-    """A new text file in UTF-8, in place of one of its name, to which lines are appended. Each is handed to the system
-    at once and whole: a process that is killed afterwards keeps it, and a full disk leaves no half of one.
+    """A new text file in UTF-8 to which lines are appended; it replaces an existing file. Each line is handed to the
+    system at once and complete, so it survives the end of the process, and a full disk leaves no partial line.
 
     Raises:
         InputError: when it cannot be written.
@@ -114,7 +115,7 @@ class LineFile:
         """Append a line, without its end.
 
         Raises:
-            InputError: when it cannot be written; the lines before are in the file.
+            InputError: when it cannot be written; the earlier lines are in the file.
         """
         rest = memoryview(f"{line}\n".encode())
         with writing(self._path):
@@ -131,40 +132,43 @@ class LineFile:
                 raise
 
     def close(self) -> None:
-        """Close the file; a line that is added opens it again."""
+        """Close the file; ``add`` opens it again."""
         self._file.close()
 
 
 def remove_unfinished(folder: Path, of: Path | None = None) -> None:
-    """Remove what a killed process left of files that it was :func:`replacing`: in a folder that nobody else writes, or
-    ``of`` one file in it that nobody else does.
+    """Remove temporary files that a killed process has left behind in :func:`atomic_write`.
+
+    Args:
+        folder: a folder that no other process writes.
+        of: only the temporary files of this file in it, which no other process writes.
 
     Raises:
         InputError: when the folder cannot be read.
     """
     with writing(folder):
-        names = list(folder.iterdir())
-    for path in names:
-        found = _UNFINISHED.fullmatch(path.name)
-        if found and (of is None or (found[1], found[2] or "") == (of.stem[:_KEPT], of.suffix)):
-            with contextlib.suppress(OSError):  # a folder is not ours
+        paths = list(folder.iterdir())
+    for path in paths:
+        match = _UNFINISHED.fullmatch(path.name)
+        if match and (of is None or (match[1], match[2] or "") == (of.stem[:_KEPT], of.suffix)):
+            with contextlib.suppress(OSError):  # a folder is not one of these files
                 path.unlink()
 
 
 def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None] | None = None) -> None:
-    """See that files which a command shall write do not take the place of one another or of what it reads, and that
-    there is room for them to be written, before it works for hours.
+    """Check before long work that the output files of a command can be written, and that they replace neither one
+    another nor an input.
 
     Args:
-        outputs: by option, such as ``"--out"``.
-        inputs: what is read, by the words for it, such as ``"the recording"``; nothing in a folder that is read is
-            written over.
+        outputs: output files by option, such as ``"--out"``.
+        inputs: inputs by their words in messages, such as ``"the recording"``. No file in an input folder may be
+            replaced.
 
     Raises:
-        InputError: when they do.
+        InputError: when an output would replace another file of the command, is a folder, or cannot be written.
     """
-    given = {words: path.resolve() for words, path in (inputs or {}).items() if path is not None}
-    taken = {path: words for words, path in given.items()}
+    input_paths = {words: path.resolve() for words, path in (inputs or {}).items() if path is not None}
+    taken = {path: words for words, path in input_paths.items()}
     for option, path in outputs.items():
         if path is None:
             continue
@@ -173,7 +177,7 @@ def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path 
             raise InputError(f"{option} must not be {words}, got {path}: choose another name")
         if place.is_dir():
             raise InputError(f"{option} must be a file, got the folder {path}")
-        for words, folder in given.items():
+        for words, folder in input_paths.items():
             if place.is_relative_to(folder) and place.exists():
                 raise InputError(f"{option} must not be a file of {words}, got {path}: choose another name")
         taken[place] = f"the file of {option}"
@@ -183,16 +187,16 @@ def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path 
 
 
 def plain_json(value: Any) -> Any:
-    """The value with NaN as null, which JSON has no number for."""
+    """The value with NaN and infinity as null, because JSON has no such numbers."""
     if isinstance(value, Mapping):
-        return {key: plain_json(each) for key, each in value.items()}
+        return {key: plain_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain_json(each) for each in value]
+        return [plain_json(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write numbers and texts, NaN as null, and make the folder.
+    """Write a value as JSON, with NaN as null, and make the folder.
 
     Raises:
         InputError: when the file cannot be written.

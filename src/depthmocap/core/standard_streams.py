@@ -1,4 +1,4 @@
-"""Standard output and error that nothing can fail at: closed, full, or of an encoding without our letters."""
+"""Standard output and error that never fail, even if they are closed, full, or lack characters in their encoding."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from typing import Any, TextIO, cast
 
 
-class LastingStream:
-    """A text stream, used as such. What it cannot take is dropped, and letters that its encoding lacks are escaped.
+class FaultTolerantStream:
+    """Wraps a text stream. It drops text that the stream does not take, and escapes characters that its encoding lacks.
 
     Attributes:
-        failure: why text was dropped first, None while none was.
+        failure: the first error for which text was dropped; None if there was none.
     """
 
     def __init__(self, stream: TextIO) -> None:
@@ -29,7 +29,7 @@ class LastingStream:
         return len(text)
 
     def flush(self) -> None:
-        """Write what is held back, or drop it."""
+        """Flush the stream, or drop its text."""
         with self._dropping():
             self._stream.flush()
 
@@ -40,12 +40,12 @@ class LastingStream:
     def _dropping(self) -> Iterator[None]:
         try:
             yield
-        except (OSError, ValueError) as error:  # the second: of a stream that was closed here
+        except (OSError, ValueError) as error:  # ValueError: the stream was closed in this process
             self.failure = self.failure or error
 
     def status(self) -> int:
-        """The exit status of a command that printed here: 1 if something was dropped. The reason is told on
-        ``sys.stderr``, unless the reader had left (``| head``)."""
+        """The exit status of a command that printed here: 1 if text was dropped. The reason is printed on
+        ``sys.stderr``, unless the reader of a pipe has closed it (``| head``)."""
         self.flush()
         if self.failure is None:
             return 0
@@ -55,8 +55,8 @@ class LastingStream:
         return 1
 
     def leave(self) -> None:
-        """After a failure, have the null device in the stream's place: Python flushes once more at its end, and other
-        libraries write to it without asking."""
+        """After a failure, replace the stream by the null device, because Python flushes it when it exits, and
+        libraries may write to it."""
         if self.failure is None:
             return
         with contextlib.suppress(OSError, ValueError):
@@ -65,18 +65,18 @@ class LastingStream:
             os.close(null)
 
 
-def lasting(stream: TextIO) -> TextIO:
-    """The stream, so that nothing can fail at it."""
-    return stream if isinstance(stream, LastingStream) else cast(TextIO, LastingStream(stream))
+def fault_tolerant(stream: TextIO) -> TextIO:
+    """The stream, wrapped so that it never fails."""
+    return stream if isinstance(stream, FaultTolerantStream) else cast(TextIO, FaultTolerantStream(stream))
 
 
 @contextlib.contextmanager
-def lasting_streams() -> Iterator[LastingStream]:
-    """Within, ``sys.stdout`` and ``sys.stderr`` take everything, so that work whose results are files goes on without
-    them; yields the first."""
+def fault_tolerant_streams() -> Iterator[FaultTolerantStream]:
+    """Make ``sys.stdout`` and ``sys.stderr`` fault-tolerant, so that work whose results are files continues without
+    them; yields the wrapped ``sys.stdout``."""
     _open_standard_files()
     before = sys.stdout, sys.stderr
-    out, errors = LastingStream(sys.stdout), LastingStream(sys.stderr)
+    out, errors = FaultTolerantStream(sys.stdout), FaultTolerantStream(sys.stderr)
     sys.stdout, sys.stderr = cast(TextIO, out), cast(TextIO, errors)
     try:
         yield out
@@ -88,13 +88,13 @@ def lasting_streams() -> Iterator[LastingStream]:
 
 
 def _open_standard_files() -> None:
-    """Have the null device where standard files are closed: the next file that is opened would take the place of one,
-    and whatever a library prints would be written into it."""
+    """Open the null device in place of closed standard files. Otherwise the next opened file would take the number of
+    one, and text that a library prints would be written into it."""
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
-            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # for the processes of this one, too
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # child processes need it, too
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115, PTH123 - as long as Python runs

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.cores import usable_cores
-from depthmocap.core.locks import owns
+from depthmocap.core.locks import locks_outputs
 from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
 from depthmocap.evaluate.accuracy import Labels, check_views, measure_accuracy, print_numbers
@@ -81,7 +81,7 @@ def _misplaced(camera: DepthCamera, settings: BenchEvaluation, rng: np.random.Ge
     return dataclasses.replace(camera, world_from_camera=pose)
 
 
-@owns(files=FILES)
+@locks_outputs(files=FILES)
 def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Make and measure_accuracy the sets; returns their numbers by name. Samples are independent, nothing is smoothed.
 

@@ -16,7 +16,7 @@ from rich.progress import Progress
 from depthmocap.body.regions import REGION_COUNT
 from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
 from depthmocap.classify.classifier import Classifier
-from depthmocap.core.console import description
+from depthmocap.core.console import progress_text
 from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet
 from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
@@ -118,7 +118,7 @@ def estimate_frames(
     turn = z_up_from(source.up).T
     with Progress(console=console) as progress:
         frames = progress.track(
-            itertools.islice(source, 0, None, every), _length(source, every), description=description(source.name)
+            itertools.islice(source, 0, None, every), _length(source, every), description=progress_text(source.name)
         )
         for frame in frames:
             if not frame.views or not np.isfinite(frame.joints_world).all(1).any():

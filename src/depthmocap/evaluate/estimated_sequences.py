@@ -12,8 +12,8 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 
 from depthmocap.classify.classifier import Classifier
-from depthmocap.core.output import replacing, write_file
-from depthmocap.core.reading.array_files import ArrayType, read_npz, why
+from depthmocap.core.output import atomic_write, write_file
+from depthmocap.core.reading.array_files import ArrayType, error_reason, read_npz
 from depthmocap.core.reading.input_files import read_text
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, Pose
@@ -86,12 +86,12 @@ class EstimateStore:
         try:
             data = read_npz(path, {"name": ArrayType("", "U"), **_ARRAYS})
         except InputError as error:
-            raise InputError(f"{path} is not a file of estimates ({why(error, path)}): delete it") from None
+            raise InputError(f"{path} is not a file of estimates ({error_reason(error, path)}): delete it") from None
         return SequenceEstimates(str(data["name"]), *(data[key] for key in _ARRAYS))
 
     def save(self, index: int, sequence: SequenceEstimates) -> None:
         """Write the estimates of a sequence; the file is complete or not there at all."""
-        with replacing(self._path(index)) as unfinished:
+        with atomic_write(self._path(index)) as unfinished:
             np.savez(unfinished, name=sequence.name, **{key: getattr(sequence, key) for key in _ARRAYS})
 
     def _path(self, index: int) -> Path:

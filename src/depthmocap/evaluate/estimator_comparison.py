@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
+from depthmocap.core.locks import locks_outputs
 from depthmocap.core.output import check_outputs, write_json
 from depthmocap.core.settings import check_at_least
 from depthmocap.errors import InputError, missing_extra
@@ -63,7 +63,7 @@ class EstimatorComparison:
         check_outputs({"--json": self.json}, {"the samples": self.samples})
 
 
-@owns(files=("json",))
+@locks_outputs(files=("json",))
 def compare_estimators(settings: EstimatorComparison, console: Console | None = None) -> dict[str, Any]:
     """Fit and measure all of them; returns mean error (cm) and share within 10 cm by estimator and number of views.
 

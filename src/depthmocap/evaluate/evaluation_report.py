@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from depthmocap.core.output import check_outputs, replacing, write_json
+from depthmocap.core.output import atomic_write, check_outputs, write_json
 from depthmocap.core.settings import plain_settings
 from depthmocap.report.charts import joint_error_bars, precision_curve, reliability_diagram
 from depthmocap.report.metrics import JointMetrics, Reliability
@@ -125,7 +125,7 @@ def _cell(value: int | float, unit: str) -> str:
 
 
 def _write_joints(path: Path, results: Mapping[str, Numbers]) -> None:
-    with replacing(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
+    with atomic_write(path) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("result", "joint", "error_cm", "deviation_cm", "within_10cm"))
         for name, numbers in results.items():

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
+from depthmocap.core.locks import locks_outputs
 from depthmocap.datasets.itop import PARTS, Itop, Mask, Side
 from depthmocap.evaluate.estimated_frames import estimate_frames
 from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
@@ -43,7 +43,7 @@ class ItopEvaluation(Outputs):
     estimator: str = "votes"
 
 
-@owns(files=FILES)
+@locks_outputs(files=FILES)
 def evaluate_itop(settings: ItopEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Run the evaluation; returns the numbers by name. Frames are independent, nothing is smoothed.
 

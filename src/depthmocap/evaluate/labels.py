@@ -15,8 +15,8 @@ from rich.table import Table
 from depthmocap.body.regions import REGION_COUNT, REGION_NAMES, UNLABELLED
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
-from depthmocap.core.output import check_outputs, replacing, write_file, write_json
+from depthmocap.core.locks import locks_outputs
+from depthmocap.core.output import atomic_write, check_outputs, write_file, write_json
 from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.evaluate.label_charts import LabelExample, label_grid, region_bars, reliability_diagram
@@ -141,7 +141,7 @@ def _frames(settings: LabelsEvaluation) -> Iterator[FrameSet]:
         yield FrameSet(index, sample.views, sample.joints)
 
 
-@owns(folder="out", files=("json",))
+@locks_outputs(folder="out", files=("json",))
 def evaluate_labels(settings: LabelsEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Label the data, write the report and return its numbers.
 
@@ -238,5 +238,5 @@ def _write(out: Path, data: str, quality: LabelQuality, numbers: dict[str, Any],
 def _write_png(path: Path, picture: np.ndarray) -> None:
     from PIL import Image
 
-    with replacing(path) as unfinished:
+    with atomic_write(path) as unfinished:
         Image.fromarray(picture).save(unfinished, optimize=True)

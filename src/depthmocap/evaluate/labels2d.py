@@ -14,7 +14,7 @@ from rich.table import Table
 from depthmocap.body.regions import MIRROR, REGION
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
+from depthmocap.core.locks import locks_outputs
 from depthmocap.core.output import check_outputs, write_json
 from depthmocap.core.reading.image_files import read_picture
 from depthmocap.core.reading.json_text import array, read_json
@@ -84,7 +84,7 @@ def _read_joints(path: Path) -> dict[str, dict[str, tuple[float, float, float]]]
     return people
 
 
-@owns(files=("json",))
+@locks_outputs(files=("json",))
 def evaluate_labels2d(settings: Labels2dEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Count joints on a region of their own, and on the other side's; returns the numbers.
 

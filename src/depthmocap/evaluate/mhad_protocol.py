@@ -20,7 +20,7 @@ from rich.console import Console
 
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
+from depthmocap.core.locks import locks_outputs
 from depthmocap.core.reading.json_text import read_json
 from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet
 from depthmocap.datasets.mhad import MHAD_JOINTS, MhadSet
@@ -196,7 +196,7 @@ def read_joint_tables(path: Path | None) -> dict[str, tuple[str, ...]]:
     return JOINT_TABLES | {name: tuple(joints) for name, joints in tables.items()}
 
 
-@owns(files=FILES)
+@locks_outputs(files=FILES)
 def evaluate_mhad(settings: MhadEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Run the evaluation; returns the numbers by protocol.
 

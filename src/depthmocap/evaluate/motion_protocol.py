@@ -19,7 +19,7 @@ from rich.table import Table
 from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
+from depthmocap.core.locks import locks_outputs
 from depthmocap.core.output import check_outputs, write_json
 from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
@@ -103,7 +103,7 @@ class MotionEvaluation:
             )
 
 
-@owns(folder="out", files=("json", "report"))
+@locks_outputs(folder="out", files=("json", "report"))
 def evaluate_motion(settings: MotionEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Make or read the estimates and measure every filter; returns the numbers by views and filter.
 

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
+from depthmocap.core.locks import locks_outputs
 from depthmocap.datasets.panoptic import CONFIDENCE, PanopticSet
 from depthmocap.datasets.panoptic_files import MColor
 from depthmocap.evaluate.estimated_frames import estimate_frames
@@ -50,7 +50,7 @@ class PanopticEvaluation(Outputs):
     estimator: str = "votes"
 
 
-@owns(files=FILES)
+@locks_outputs(files=FILES)
 def evaluate_panoptic(settings: PanopticEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Run the evaluation; returns the numbers by name. Frames are independent, nothing is smoothed.
 

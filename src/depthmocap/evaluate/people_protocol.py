@@ -22,7 +22,7 @@ from rich.table import Table
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
+from depthmocap.core.locks import locks_outputs
 from depthmocap.core.output import check_outputs, write_json
 from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
@@ -113,7 +113,7 @@ class _TrueMasks:
         """Nothing is remembered."""
 
 
-@owns(files=("json",))
+@locks_outputs(files=("json",))
 def evaluate_people(settings: PeopleEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Make the scenes, track the people in them and print a table; returns the numbers."""
     console = console or Terminal(stderr=True)

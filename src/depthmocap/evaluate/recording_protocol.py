@@ -11,8 +11,8 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 
-from depthmocap.core.console import Terminal, description
-from depthmocap.core.locks import owns
+from depthmocap.core.console import Terminal, progress_text
+from depthmocap.core.locks import locks_outputs
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline, open_source
@@ -33,7 +33,7 @@ class RecordingEvaluation(PipelineSettings, Outputs):
     recording: tyro.conf.Positional[Path]
 
 
-@owns(files=FILES)
+@locks_outputs(files=FILES)
 def evaluate_recording(settings: RecordingEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Run the pipeline over the frames and measure those with a true joint; returns the numbers by name.
 
@@ -44,7 +44,7 @@ def evaluate_recording(settings: RecordingEvaluation, console: Console | None = 
     source = open_source(settings.recording)
     pipeline = load_pipeline(source, settings)
     truths, poses, spent_ms = {}, {}, []
-    for frames in track(source, description(settings.recording.name), len(source), console=console):
+    for frames in track(source, progress_text(settings.recording.name), len(source), console=console):
         result = pipeline(frames)
         # A filter with a delay returns the final pose of a frame later.
         poses[result.pose.timestamp_ns] = result.pose

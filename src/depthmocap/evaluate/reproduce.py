@@ -13,7 +13,7 @@ from rich.console import Console
 
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
+from depthmocap.core.locks import locks_outputs
 from depthmocap.core.output import write_json
 from depthmocap.core.settings import plain_settings
 from depthmocap.errors import InputError
@@ -58,7 +58,7 @@ class Reproduction:
     pictures: int = 4
 
 
-@owns(folder="out")
+@locks_outputs(folder="out")
 def reproduce(settings: Reproduction, console: Console | None = None) -> dict[str, Any]:
     """Make the page; returns the numbers by data set. A set that cannot be read is left out, and the page says why.
 

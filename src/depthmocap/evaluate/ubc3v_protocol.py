@@ -12,7 +12,7 @@ from rich.progress import Progress
 
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
+from depthmocap.core.locks import locks_outputs
 from depthmocap.datasets.ubc3v import CAMERAS, image_paths, iterate, sections
 from depthmocap.errors import InputError
 from depthmocap.evaluate.accuracy import Labels, check_views, measure_accuracy, print_numbers
@@ -43,7 +43,7 @@ class Ubc3vEvaluation(Outputs):
     estimator: str = "votes"
 
 
-@owns(files=FILES)
+@locks_outputs(files=FILES)
 def evaluate_ubc3v(settings: Ubc3vEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Run the evaluation and return its numbers; samples are independent, nothing is smoothed.
 

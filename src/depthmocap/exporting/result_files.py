@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Any
 
 from depthmocap.body.skeleton import JOINTS
-from depthmocap.core.interrupts import finishing
+from depthmocap.core.interrupts import deferred_interrupts
 from depthmocap.core.output import make_inner_folder, writing
 from depthmocap.errors import InputError
 from depthmocap.exporting.bvh import write_bvh
@@ -117,7 +117,7 @@ class PoseFiles:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with finishing():
+        with deferred_interrupts():
             if self._csv is not None:
                 self._csv.__exit__(kind, error, trace)
             self._finish(kind is not None)
@@ -194,6 +194,9 @@ class PeopleFiles:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with finishing(), contextlib.ExitStack() as stack:  # closes all of them, even if one cannot be written
+        with (
+            deferred_interrupts(),
+            contextlib.ExitStack() as stack,
+        ):  # closes all, even if one cannot be written
             for files in self._files.values():
                 stack.callback(files.__exit__, kind, error, trace)

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt16
 from numpy import ndarray
 
-from depthmocap.core.names import check_camera_name
+from depthmocap.core.camera_names import check_camera_name
 from depthmocap.core.output import write_file
 from depthmocap.core.reading.image_files import check_picture_size
 from depthmocap.core.reading.json_text import array, number, read_json, whole_number

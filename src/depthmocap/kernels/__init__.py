@@ -13,7 +13,7 @@ import numba
 from numba.core import config
 from numba.core.caching import FunctionCache
 
-from depthmocap.core.caches import see_to_home, temporary_cache
+from depthmocap.core.caches import ensure_home, temporary_cache
 
 _save = FunctionCache.save_overload
 
@@ -41,7 +41,7 @@ def _probe() -> None:
     """A function to test whether Numba finds a folder for its cache."""
 
 
-see_to_home()
+ensure_home()
 try:
     numba.njit(cache=True)(_probe)
 except RuntimeError:  # neither beside this file nor in the user's caches

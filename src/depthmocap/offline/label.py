@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from depthmocap.classify.classifier import Classifier
-from depthmocap.core.locks import owns
+from depthmocap.core.locks import locks_outputs
 from depthmocap.core.output import check_outputs, write_file
 from depthmocap.core.reading.image_files import read_picture
 from depthmocap.core.settings import check_above_0
@@ -101,7 +101,7 @@ def _camera(settings: LabelSettings, shape: tuple[int, ...]) -> DepthCamera:
     return DepthCamera("camera", width, height, fx, settings.fy or fx, cx, cy)
 
 
-@owns(files=("out",))
+@locks_outputs(files=("out",))
 def label_image(settings: LabelSettings) -> UInt8[ndarray, "h w"]:
     """Label the image and write the results; returns the labels.
 

@@ -18,8 +18,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.core.console import Terminal
-from depthmocap.core.interrupts import finishing
-from depthmocap.core.locks import owns
+from depthmocap.core.interrupts import deferred_interrupts
+from depthmocap.core.locks import locks_outputs
 from depthmocap.errors import InputError
 from depthmocap.exporting.result_files import NO_PERSON, PeopleFiles, PoseFiles, remove_results
 from depthmocap.exporting.run_result import RunResult
@@ -33,7 +33,7 @@ from depthmocap.pose.extrinsics_check import ExtrinsicsCheck
 from depthmocap.recordings.recording import Recording
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
 from depthmocap.segment.people_segmenter import Mode
-from depthmocap.text import cameras, joined
+from depthmocap.text import camera_list, joined
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,7 +59,7 @@ class RunSettings(PipelineSettings):
     report: bool = True
 
 
-@owns(folder="out")
+@locks_outputs(folder="out")
 def run(settings: RunSettings, console: Console | None = None) -> RunResult:
     """Process a recording and write everything. Ctrl-C keeps what was done until then.
 
@@ -98,7 +98,7 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
                 before = time.perf_counter()
         except KeyboardInterrupt:
             interrupted = True
-        last.enter_context(finishing())
+        last.enter_context(deferred_interrupts())
         if interrupted:
             console.print(f"stopped after {capture.done} of {len(source)} frames; writing what was done")
         people_files.write(pipeline.finish_people())
@@ -193,7 +193,7 @@ class _Capture:
         self.misplaced += self._extrinsics_check.finish()
 
     def _add_final(self, pose: Pose) -> None:
-        with finishing():
+        with deferred_interrupts():
             frames, result, milliseconds = self._waiting.popleft()
             self._files.write(pose)
             unknown = np.full((len(JOINTS), 3), np.nan)
@@ -221,7 +221,7 @@ def _way_out(source: FrameSource, segment: Mode) -> str:
     ways = ["see that the cameras stand where the rig says (world_from_camera is no inverse) and that its up is right"]
     if segment == "auto" and isinstance(source, Recording):
         unknown = [name for name in source.rig.names if source.background(name) is None]
-        ways += [f"give the empty scene of {cameras(unknown)} (background.png)"] if unknown else []
+        ways += [f"give the empty scene of {camera_list(unknown)} (background.png)"] if unknown else []
         ways += ["try --segment none if there is no room around the person"]
     return ", or ".join(ways)
 

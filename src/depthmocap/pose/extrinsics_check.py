@@ -13,7 +13,7 @@ from numpy import ndarray
 
 from depthmocap.body.skeleton import SIDED
 from depthmocap.pose.cloud import LabelledCloud
-from depthmocap.text import cameras
+from depthmocap.text import camera_list
 
 #: Only the joints in the middle are compared: a mirrored view does not change them.
 _MIDDLE = ~SIDED
@@ -124,8 +124,8 @@ _LIMIT = f"more than {100 * MISPLACED_M:.0f} cm"
 
 def _pair_message(names: tuple[str, ...]) -> str:
     return (
-        f"{cameras(names)} see the person {_LIMIT} apart: they stand elsewhere than the rig says, or their times do "
-        f"not fit; {_CALIBRATE}"
+        f"{camera_list(names)} see the person {_LIMIT} apart: they stand elsewhere than the rig says, or their times "
+        f"do not fit; {_CALIBRATE}"
     )
 
 
@@ -133,13 +133,13 @@ def _misplaced_message(names: list[str]) -> str:
     what = f"the person {_LIMIT} from where the others do"
     if len(names) > 1:
         why = "they stand elsewhere than the rig says, or their times are off"
-        return f"{cameras(names)} each see {what}: {why}; {_CALIBRATE}"
-    return f"{cameras(names)} sees {what}: it stands elsewhere than the rig says, or its time is off; {_CALIBRATE}"
+        return f"{camera_list(names)} each see {what}: {why}; {_CALIBRATE}"
+    return f"{camera_list(names)} sees {what}: it stands elsewhere than the rig says, or its time is off; {_CALIBRATE}"
 
 
 def _blind_message(names: list[str]) -> str:
     what = "next to nothing of the person whom others see"
     if len(names) > 1:
         why = "if they look at them, they stand elsewhere than the rig says"
-        return f"{cameras(names)} see {what}: {why}; {_CALIBRATE}"
-    return f"{cameras(names)} sees {what}: if it looks at them, it stands elsewhere than the rig says; {_CALIBRATE}"
+        return f"{camera_list(names)} see {what}: {why}; {_CALIBRATE}"
+    return f"{camera_list(names)} sees {what}: if it looks at them, it stands elsewhere than the rig says; {_CALIBRATE}"

@@ -22,8 +22,8 @@ from jaxtyping import Float, Float32, Int
 from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINTS
-from depthmocap.core.output import replacing
-from depthmocap.core.reading.array_files import ArrayType, read_npz, why
+from depthmocap.core.output import atomic_write
+from depthmocap.core.reading.array_files import ArrayType, error_reason, read_npz
 from depthmocap.core.reading.input_files import check_file
 from depthmocap.errors import InputError
 from depthmocap.pose.features import FEATURE_COUNT, FeatureFrame
@@ -258,7 +258,7 @@ def _save(models: tuple[RidgePose, ...], path: Path) -> None:
     weights = np.stack([model.weights for model in models])
     with np.errstate(over="ignore"):
         halves = weights.astype(np.float16)
-    with replacing(path) as unfinished, unfinished.open("wb") as file:  # a name of any ending
+    with atomic_write(path) as unfinished, unfinished.open("wb") as file:  # a name of any ending
         np.savez_compressed(
             file,
             format=np.array(_FORMAT),
@@ -292,7 +292,7 @@ def _load(path: Path) -> tuple[RidgePose, ...]:
             raise InputError(f"it is of the format {version!r}, not {_FORMAT!r}")
         arrays = read_npz(path, _ARRAYS)
     except InputError as error:
-        raise InputError(f"{path} is not a pose model (.npz): {why(error, path)}") from None
+        raise InputError(f"{path} is not a pose model (.npz): {error_reason(error, path)}") from None
     count = len(arrays["views"])
     joints = tuple(arrays["joints"].tolist())
     if joints != JOINTS:

@@ -15,8 +15,8 @@ from rich.live import Live
 from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.cameras.registry import make_sources
 from depthmocap.core.console import Terminal
-from depthmocap.core.interrupts import finishing
-from depthmocap.core.locks import owns
+from depthmocap.core.interrupts import deferred_interrupts
+from depthmocap.core.locks import locks_outputs
 from depthmocap.core.settings import check_above_0, check_at_least
 from depthmocap.errors import InputError
 from depthmocap.exporting.result_files import PeopleFiles, PoseFiles, remove_results
@@ -71,7 +71,7 @@ class LiveSettings(PipelineSettings):
     triggered: bool = False
 
 
-@owns(folder="out")
+@locks_outputs(folder="out")
 def run_live(settings: LiveSettings, console: Console | None = None) -> RunResult:
     """Run until the end, ``seconds`` or Ctrl-C, and write all results.
 
@@ -175,7 +175,7 @@ def _write_poses(
         except KeyboardInterrupt:
             interrupted = True
         statuses = capture.statuses()
-    with finishing():
+    with deferred_interrupts():
         _finish_files(capture, files, people_files, statuses, time.monotonic() - start_s, interrupted)
 
 

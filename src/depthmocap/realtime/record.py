@@ -18,7 +18,7 @@ from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.cameras.registry import make_sources
 from depthmocap.cameras.source import DepthFrame, DepthSource
 from depthmocap.core.console import Terminal
-from depthmocap.core.interrupts import finishing
+from depthmocap.core.interrupts import deferred_interrupts
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, load_rig
 from depthmocap.realtime.mcap_recorder import McapRecorder, not_recorded_problem
@@ -206,7 +206,7 @@ def _show_until_end(
         except KeyboardInterrupt:
             pass
         finally:
-            with finishing():
+            with deferred_interrupts():
                 reader.stop()
             passed_s = show()
     return passed_s

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from depthmocap.core.console import Terminal
-from depthmocap.core.interrupts import finishing
+from depthmocap.core.interrupts import deferred_interrupts
 from depthmocap.errors import InputError
 from depthmocap.recordings.depth_codec import Coding
 from depthmocap.recordings.mcap_file import McapFile
@@ -108,7 +108,7 @@ def _whole_or_removed(new: McapWriter | McapSink) -> Iterator[None]:
     """
     try:
         yield
-        with finishing():
+        with deferred_interrupts():
             new.close()
             new.check()
     except BaseException as error:

@@ -16,8 +16,8 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from depthmocap.body.skeleton import JOINTS
-from depthmocap.core.names import safe_names
-from depthmocap.core.reading.json_text import array, number_of_text, parse_json, whole_number
+from depthmocap.core.camera_names import safe_names
+from depthmocap.core.reading.json_text import array, number_from_text, parse_json, whole_number
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.geometry.depth_camera import check_camera, check_up
@@ -252,7 +252,7 @@ class McapRecording(Recording):
         camera = DepthCamera(
             name, calibration.width, calibration.height, float(matrix[0, 0]), float(matrix[1, 1]),
             float(matrix[0, 2]), float(matrix[1, 2]), pose, (k1, k2, p1, p2, k3),
-            number_of_text(depth_unit, f"{where}: depth_unit_m"),
+            number_from_text(depth_unit, f"{where}: depth_unit_m"),
         )  # fmt: skip
         check_camera(camera, where)
         return camera

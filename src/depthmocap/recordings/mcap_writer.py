@@ -32,7 +32,7 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from depthmocap.body.skeleton import JOINTS
-from depthmocap.core.interrupts import finishing
+from depthmocap.core.interrupts import deferred_interrupts
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.recordings.depth_codec import CODINGS, Coding, encode_depth
@@ -396,5 +396,5 @@ class McapWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with finishing():
+        with deferred_interrupts():
             self.close()

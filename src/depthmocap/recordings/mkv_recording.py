@@ -17,7 +17,7 @@ from numpy import ndarray
 
 from depthmocap.cameras.lens import five_coefficients
 from depthmocap.cameras.sdk import checked
-from depthmocap.core.names import safe_name
+from depthmocap.core.camera_names import safe_name
 from depthmocap.core.reading.input_files import open_file
 from depthmocap.core.reading.json_text import parse_json
 from depthmocap.errors import InputError

@@ -11,8 +11,8 @@ import cv2
 from jaxtyping import Float, UInt16
 from numpy import ndarray
 
-from depthmocap.core.interrupts import finishing
-from depthmocap.core.locks import LOCK_FILE, own_folder
+from depthmocap.core.interrupts import deferred_interrupts
+from depthmocap.core.locks import LOCK_FILE, lock_folder
 from depthmocap.core.output import LineFile, write_file, writing
 from depthmocap.errors import InputError
 from depthmocap.geometry import Rig, save_rig
@@ -51,7 +51,7 @@ class RecordingWriter:
         self.path, self.rig, self.compression = path, rig, compression
         self._truth_file: LineFile | None = None
         with contextlib.ExitStack() as stack:
-            stack.enter_context(own_folder(path))
+            stack.enter_context(lock_folder(path))
             if any(path_inside.name != LOCK_FILE for path_inside in path.iterdir()) and not (
                 copy_of is not None and remove_unfinished_copy(path, copy_of)
             ):
@@ -107,7 +107,7 @@ class RecordingWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with finishing():
+        with deferred_interrupts():
             self.close(finished=kind is None)
 
     def _write_png(self, name: str, file: str, raw: UInt16[ndarray, "h w"]) -> None:

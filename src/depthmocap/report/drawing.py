@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from depthmocap.body.regions import DISPLAY_COLOURS, REGION_COUNT
 from depthmocap.body.skeleton import BONES, JOINT_INDEX
-from depthmocap.core.output import replacing
+from depthmocap.core.output import atomic_write
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry import z_up_from
@@ -328,7 +328,7 @@ def animation(frames: Sequence[UInt8[ndarray, "h w 3"]], fps: float | int, path:
     if len({frame.shape for frame in frames}) > 1:
         raise InputError(f"all frames of an animation must be of one size, got {sorted({f.shape for f in frames})}")
     first, *rest = [Image.fromarray(frame) for frame in frames]
-    with replacing(path) as unfinished:
+    with atomic_write(path) as unfinished:
         first.save(
             unfinished, "WEBP", save_all=True, append_images=rest, duration=round(1000 / fps), loop=0, quality=70,
             method=4,

@@ -19,7 +19,7 @@ from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, FrameSource, View
 from depthmocap.geometry import DepthCamera
 from depthmocap.segment.background import FAR_M, estimate_background, foreground_limit
-from depthmocap.text import cameras
+from depthmocap.text import camera_list
 
 Mode = Literal["auto", "none"]
 
@@ -131,7 +131,7 @@ class PersonSegmenter:
         """What makes good masks unlikely, one line each, with a remedy."""
         if not self._full_body_shares:
             return []
-        names, share = cameras(list(self._full_body_shares)), max(self._full_body_shares.values())
+        names, share = camera_list(list(self._full_body_shares)), max(self._full_body_shares.values())
         return [
             f"{names}: a whole person is found in at most {share:.0%} of the sampled frames; if they were there more "
             "often, they hardly moved: give the empty scene (background.png in a recording folder), or pass --segment "

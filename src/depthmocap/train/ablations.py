@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
+from depthmocap.core.locks import locks_outputs
 from depthmocap.core.output import write_json
 from depthmocap.core.settings import check_seed, claim_folder
 from depthmocap.errors import InputError
@@ -78,7 +78,7 @@ class AblationTraining:
         )  # fmt: skip
 
 
-@owns(folder="out")
+@locks_outputs(folder="out")
 def train_ablations(settings: AblationTraining, console: Console | None = None) -> dict[str, Any]:
     """Train and measure what is not there yet; returns what table.json holds.
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from depthmocap.core.output import replacing
+from depthmocap.core.output import atomic_write
 from depthmocap.train.networks import Network
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def export_onnx(network: Network, path: Path, metadata: dict[str, str]) -> Path:
     store_half(model)
     helper.set_model_props(model, metadata)
     onnx.checker.check_model(model)
-    with replacing(path) as unfinished:
+    with atomic_write(path) as unfinished:
         onnx.save(model, unfinished)
     return path
 

@@ -17,8 +17,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from depthmocap.classify.classifier import Classifier
-from depthmocap.core.output import replacing
-from depthmocap.core.reading.array_files import ArrayType, read_npz, why
+from depthmocap.core.output import atomic_write
+from depthmocap.core.reading.array_files import ArrayType, error_reason, read_npz
 from depthmocap.core.settings import check_seed, claim_folder
 from depthmocap.errors import InputError
 from depthmocap.frames import View
@@ -108,7 +108,7 @@ def collect(settings: PoseSamples, folder: Path, console: Console | None = None)
                     rows.append(_measure(sample, settings, classifier, rng))
                     progress.advance(task)
                 if rows:
-                    with replacing(file) as unfinished:
+                    with atomic_write(file) as unfinished:
                         np.savez(unfinished, **_stack(rows))  # pyright: ignore[reportArgumentType]
     return _read([file for file in files if file.exists()], settings)
 
@@ -233,7 +233,7 @@ def _read(files: list[Path], settings: PoseSamples) -> Collected:
         except InputError as error:
             what = "remove it, and it is made again, or give the --views that it has"
             views = list(settings.views)
-            raise InputError(f"{file} cannot be read for {views} views ({why(error, file)}): {what}") from None
+            raise InputError(f"{file} cannot be read for {views} views ({error_reason(error, file)}): {what}") from None
     if not chunks:
         raise InputError("no samples with joints: give a folder that train pose collected, or data that has joints")
     if len({chunk[f"parts {LABELS[0]}"].shape[1] for chunk in chunks}) > 1:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from jaxtyping import Float32
 from numpy import ndarray
 
-from depthmocap.core.output import replacing
+from depthmocap.core.output import atomic_write
 
 if TYPE_CHECKING:
     import onnx
@@ -83,6 +83,6 @@ def quantise(source: Path, windows: Sequence[Float32[ndarray, "3 _ _"]], path: P
         model = onnx.load(integer)
     kept = {entry.key: entry.value for entry in onnx.load(source).metadata_props}
     onnx.helper.set_model_props(model, {**kept, "precision": "int8"})
-    with replacing(path) as unfinished:
+    with atomic_write(path) as unfinished:
         onnx.save(model, unfinished)
     return path

@@ -25,8 +25,8 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from depthmocap.body.regions import UNLABELLED
 from depthmocap.classify.window import NetworkName
 from depthmocap.core.console import Terminal
-from depthmocap.core.interrupts import finishing, leave_ending_to_parent
-from depthmocap.core.locks import owns
+from depthmocap.core.interrupts import deferred_interrupts, ignore_signals
+from depthmocap.core.locks import locks_outputs
 from depthmocap.core.output import write_file
 from depthmocap.core.reading.input_files import check_file, read_bytes
 from depthmocap.core.reading.json_text import number, parse_json, whole_number
@@ -198,7 +198,7 @@ def make_network(settings: ClassifierTraining) -> Network:
     return FastNet(widths, full.depths, "norm" not in settings.without)
 
 
-@owns(folder="out")
+@locks_outputs(folder="out")
 def train_classifier(settings: ClassifierTraining) -> Path:
     """Train, or go on training, and export; returns the ONNX file.
 
@@ -340,7 +340,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
 
 def _begin_worker(_: int) -> None:
     """SIGTERM is also how torch ends its processes; one that ends by itself is no failure to it."""
-    leave_ending_to_parent()
+    ignore_signals()
     signal.signal(signal.SIGTERM, lambda *_: os._exit(0))
 
 
@@ -389,7 +389,7 @@ def _at_interruption(save: Callable[[], None]) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        with finishing():
+        with deferred_interrupts():
             save()
         raise
 

@@ -11,7 +11,7 @@ import tyro
 from rich.console import Console
 
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
+from depthmocap.core.locks import locks_outputs
 from depthmocap.core.output import write_json
 from depthmocap.core.settings import check_above_0, plain_settings
 from depthmocap.errors import InputError, missing_extra
@@ -61,7 +61,7 @@ class PoseTraining:
             )
 
 
-@owns(folder="out")
+@locks_outputs(folder="out")
 def train_pose(settings: PoseTraining, console: Console | None = None) -> list[Path]:
     """Collect the samples and fit the estimators; returns the files written.
 

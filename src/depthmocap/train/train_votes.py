@@ -24,7 +24,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from depthmocap.body.regions import REGION_COUNT
 from depthmocap.body.skeleton import MIRROR as MIRRORED_JOINTS
-from depthmocap.core.output import replacing, write_file
+from depthmocap.core.output import atomic_write, write_file
 from depthmocap.core.settings import check_above_0
 from depthmocap.geometry.transforms import rotation_between
 from depthmocap.pose.labelled_view import LABELS, Labels
@@ -293,6 +293,6 @@ def export_votes(network: nn.Module, path: Path) -> Path:
     program.optimize()
     model = program.model_proto
     store_half(model)
-    with replacing(path) as unfinished:
+    with atomic_write(path) as unfinished:
         onnx.save(model, unfinished)
     return path

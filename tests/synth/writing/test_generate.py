@@ -18,7 +18,7 @@ from rich.console import Console
 
 from depthmocap import InputError
 from depthmocap.cli import main
-from depthmocap.core.locks import own_folder
+from depthmocap.core.locks import lock_folder
 from depthmocap.datasets import ubc3v_write
 from depthmocap.datasets.shards import ShardReader, ShardWriter
 from depthmocap.datasets.ubc3v import Section, kinect2_camera, sections
@@ -158,7 +158,7 @@ def test_folders_that_cannot_be(tmp_path: Path) -> None:
 def test_one_run_at_a_time(tmp_path: Path) -> None:
     folder = tmp_path / "easy-pose/valid"
     folder.mkdir(parents=True)
-    with own_folder(folder), pytest.raises(InputError, match=r"is being written by process \d+ on"):
+    with lock_folder(folder), pytest.raises(InputError, match=r"is being written by process \d+ on"):
         run(tmp_path)
     (folder / ".lock").write_text("process 1 on a machine that lost its power")
     (folder / ".settings.part-1.json").write_text('{"recipe":')

@@ -1,2 +1,2 @@
-"""Readers of files that users give. Sizes and shapes are known from headers, and limited, before anything is unpacked;
-what cannot be read is an ``InputError`` of one line."""
+"""Readers of user files. They check sizes and shapes in headers against limits before they unpack anything, and raise
+an ``InputError`` of one line for a file that cannot be read."""

@@ -1,5 +1,5 @@
-"""Arrays in .npz files that users give. Shapes and types are read from the headers before anything is unpacked; pickles
-are refused."""
+"""Reads arrays from .npz files of users. It checks shapes and types in the headers before it unpacks anything, and
+refuses pickles."""
 
 from __future__ import annotations
 
@@ -16,87 +16,87 @@ from numpy import ndarray
 from depthmocap.core.reading.input_files import open_file
 from depthmocap.errors import InputError
 
-#: Bytes of all arrays that are read of one file.
+#: Largest total size (bytes) of the arrays that are read from one file.
 LARGEST_ARRAYS = 1 << 29
-#: By the version of the format.
+#: Functions that read headers, by version of the format.
 _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
 @dataclasses.dataclass(frozen=True)
 class ArrayType:
-    """What an array must be.
+    """The expected shape and type of an array.
 
     Attributes:
-        shape: its sides in words, such as ``"n 20 3"``: a name stands for any length, the same in all arrays of a file.
-        kinds: NumPy's letters for types that it may have, such as ``"iu"``.
+        shape: the lengths of its axes, such as ``"n 20 3"``; a name means any length, the same in all arrays of a file.
+        kinds: NumPy's letters of the allowed kinds of type, such as ``"iu"``.
     """
 
     shape: str
     kinds: str
 
 
-def check_type(shape: tuple[int, ...], dtype: Any, wanted: ArrayType, sides: dict[str, int], what: str) -> None:
-    """See that an array's header is as wanted.
+def check_type(shape: tuple[int, ...], dtype: Any, expected: ArrayType, sides: dict[str, int], what: str) -> None:
+    """Check an array's header.
 
     Args:
-        sides: lengths by name, as far as they are known; new ones are added.
-        what: the array is, for the message.
+        sides: known lengths by name; new ones are added.
+        what: the name of the array, for the message.
 
     Raises:
-        InputError: when it is not.
+        InputError: when its shape or type differs from the expected one.
     """
-    if dtype.kind not in wanted.kinds or dtype.hasobject:
-        raise InputError(f"{what} has the type {dtype}: expected one of the kinds {', '.join(wanted.kinds)}")
-    names = wanted.shape.split()
+    if dtype.kind not in expected.kinds or dtype.hasobject:
+        raise InputError(f"{what} has the type {dtype}: expected one of the kinds {', '.join(expected.kinds)}")
+    names = expected.shape.split()
     fits = len(names) == len(shape) and all(
         length == (int(name) if name.isdecimal() else sides.setdefault(name, length))
         for name, length in zip(names, shape, strict=True)
     )
     if not fits:
-        expected = ", ".join(str(sides.get(name, name)) for name in names)
-        raise InputError(f"{what} has the shape {shape}: expected ({expected})")
+        lengths = ", ".join(str(sides.get(name, name)) for name in names)
+        raise InputError(f"{what} has the shape {shape}: expected ({lengths})")
 
 
-def read_npz(path: Path, wanted: Mapping[str, ArrayType], largest: int = LARGEST_ARRAYS) -> dict[str, ndarray]:
-    """Arrays of an .npz file by name; all must be there, and others are left alone.
+def read_npz(path: Path, expected: Mapping[str, ArrayType], largest: int = LARGEST_ARRAYS) -> dict[str, ndarray]:
+    """Read arrays of an .npz file by name. All must exist; other arrays are not read.
 
     Args:
-        wanted: types by name.
-        largest: bytes that all of them may have.
+        expected: types by name.
+        largest: largest total size in bytes.
 
     Raises:
-        InputError: when the file cannot be read or is another kind of file, is damaged, holds pickles, lacks an array,
-            or has one of another shape or type or more than may be.
+        InputError: when the file cannot be read, is of another kind, is damaged, holds pickles, lacks an array, has an
+            array of another shape or type, or is too large.
     """
     with open_file(path) as file:
         try:
             with zipfile.ZipFile(file) as archive:
-                return _read(archive, path, wanted, largest)
+                return _read(archive, path, expected, largest)
         except InputError:
             raise
         except Exception as error:  # zipfile and NumPy raise many types for damaged files
             raise InputError(f"{path} is not a readable .npz file, or cut off: {_line(error)}") from None
 
 
-def _read(archive: zipfile.ZipFile, path: Path, wanted: Mapping[str, ArrayType], largest: int) -> dict[str, ndarray]:
+def _read(archive: zipfile.ZipFile, path: Path, expected: Mapping[str, ArrayType], largest: int) -> dict[str, ndarray]:
     members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-    if absent := [name for name in wanted if name not in members]:
+    if absent := [name for name in expected if name not in members]:
         raise InputError(f"{path} lacks the array {absent[0]!r}")
-    if (total := sum(members[name].file_size for name in wanted)) > largest:
+    if (total := sum(members[name].file_size for name in expected)) > largest:
         raise InputError(f"{path} holds {total / 1e6:,.0f} MB: at most {largest / 1e6:,.0f} MB are read")
     sides: dict[str, int] = {}
-    for name, kind in wanted.items():
+    for name, kind in expected.items():
         check_type(*_header(archive, members[name], f"{path}: {name}"), kind, sides, f"{path}: {name}")
     arrays = {}
-    for name in wanted:
+    for name in expected:
         with archive.open(members[name]) as member:
             arrays[name] = np.lib.format.read_array(member, allow_pickle=False)
-            member.read(1)  # past the last byte, where the checksum is compared
+            member.read(1)  # zipfile compares the checksum only at the end
     return arrays
 
 
 def _header(archive: zipfile.ZipFile, info: zipfile.ZipInfo, what: str) -> tuple[tuple[int, ...], Any]:
-    """Shape and type of an array, if its data are as long as they say."""
+    """Shape and type of an array whose data have the length that they require."""
     with archive.open(info) as member:
         read = _HEADERS[np.lib.format.read_magic(member)]
         shape, _, dtype = read(member)
@@ -112,6 +112,6 @@ def _line(error: Exception) -> str:
     return (str(error) or type(error).__name__).splitlines()[0]
 
 
-def why(error: InputError, path: Path) -> str:
-    """What an error says of a file, for a message that names it already."""
+def error_reason(error: InputError, path: Path) -> str:
+    """The text of an error without the name of the file, for a message that names it already."""
     return str(error).removeprefix(f"{path}: ").removeprefix(f"{path} ")

@@ -1,4 +1,4 @@
-"""Pictures that users give. Their size is read from the header before they are unpacked."""
+"""Reads pictures of users. It checks their size in the header before it unpacks them."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from PIL import Image
 from depthmocap.core.reading.input_files import read_bytes
 from depthmocap.errors import InputError
 
-#: Pixels of the largest picture; depth cameras have a megapixel.
+#: Largest number of pixels of a picture; depth cameras have about a megapixel.
 MOST_PIXELS = 1 << 26
-#: Bytes of the largest picture's file.
+#: Largest size of a picture's file (bytes).
 LARGEST_PICTURE = 1 << 28
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _IHDR = struct.Struct(">IIBB")
 _KINDS = {0: "grey", 2: "RGB", 3: "palette", 4: "grey and alpha", 6: "RGBA"}
-#: What Pillow may take for a picture; others of its formats run other programs, or hold many pictures.
+#: Formats that Pillow may read; others of its formats run external programs, or hold many pictures.
 _FORMATS = ("PNG", "TIFF", "JPEG", "BMP", "PPM", "WEBP")
 
 
 class PngHeader(NamedTuple):
-    """What the header of a PNG tells: its size in pixels, bits a channel, and the channels in words."""
+    """The header of a PNG: size in pixels, bits per channel, and the channels in words."""
 
     width: int
     height: int
@@ -39,10 +39,10 @@ class PngHeader(NamedTuple):
 
 
 def check_picture_size(width: int, height: int, where: str) -> None:
-    """Raise InputError unless a picture has pixels, and no more than are unpacked.
+    """Raise InputError if a picture has no pixels, or more than the limit.
 
     Args:
-        where: it is from, for the message.
+        where: the origin of the picture, for the message.
     """
     if not 0 < width * height <= MOST_PIXELS or min(width, height) < 1:
         raise InputError(
@@ -51,10 +51,10 @@ def check_picture_size(width: int, height: int, where: str) -> None:
 
 
 def png_header(data: bytes, where: str) -> PngHeader:
-    """The header of a PNG.
+    """Read the header of a PNG.
 
     Raises:
-        InputError: when it has none, or its size is beyond :func:`check_picture_size`.
+        InputError: when it has none, or :func:`check_picture_size` refuses its size.
     """
     if len(data) < 33 or data[:8] != _SIGNATURE or data[12:16] != b"IHDR":
         raise InputError(_damaged(where))
@@ -64,7 +64,7 @@ def png_header(data: bytes, where: str) -> PngHeader:
 
 
 def decode_png(data: bytes, where: str) -> Shaped[ndarray, "h w ..."]:
-    """The pixels of a PNG as they are stored; colours in OpenCV's order.
+    """Decode the pixels of a PNG as they are stored, with colours in OpenCV's order.
 
     Raises:
         InputError: when it is damaged, cut off or too large.
@@ -79,12 +79,12 @@ def decode_png(data: bytes, where: str) -> Shaped[ndarray, "h w ..."]:
 def read_picture(
     path: Path, mode: str | None = None, size: tuple[int, int] | None = None, missing: str = ""
 ) -> Shaped[ndarray, "h w ..."]:
-    """The pixels of a picture in any usual format, as it has them (see Pillow's modes).
+    """Read the pixels of a picture of any usual format, in its own mode of Pillow.
 
     Args:
-        mode: Pillow's mode that it must have.
-        size: width and height that it must have.
-        missing: what to do when there is no such file, for the message.
+        mode: the required mode of Pillow.
+        size: the required width and height.
+        missing: what to do if there is no such file, for the message.
 
     Raises:
         InputError: when it cannot be read, is damaged, cut off, too large, or of another mode or size.
@@ -96,22 +96,22 @@ def read_picture(
         with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
             check_picture_size(image.width, image.height, str(path))
             if (mode or image.mode, size or image.size) != (image.mode, image.size):
-                wanted = [f"{mode} picture" if mode else "picture", f"of {size[0]}×{size[1]}" if size else ""]
+                required = [f"{mode} picture" if mode else "picture", f"of {size[0]}×{size[1]}" if size else ""]
                 raise InputError(
-                    f"{path}: expected a {' '.join(wanted).strip()}, got {image.mode} {image.width}×{image.height}"
+                    f"{path}: expected a {' '.join(required).strip()}, got {image.mode} {image.width}×{image.height}"
                 )
             return np.array(image)
     except InputError:
         raise
     except Exception as error:  # Pillow raises many types for damaged files
-        told = "" if isinstance(error, Image.UnidentifiedImageError) else f" ({error})"
-        raise InputError(f"{path} is not a readable picture{told}: fetch or write it again") from None
+        reason = "" if isinstance(error, Image.UnidentifiedImageError) else f" ({error})"
+        raise InputError(f"{path} is not a readable picture{reason}: fetch or write it again") from None
 
 
 def _check_png(data: bytes, where: str) -> PngHeader:
-    # A cut file never reaches a decoder: some fill up what is missing, others write to the terminal.
+    # Incomplete files never reach a decoder: some fill up the missing part, others write to the terminal.
     header = png_header(data, where)
-    if not _is_whole(data):
+    if not _is_complete(data):
         raise InputError(_damaged(where))
     return header
 
@@ -120,18 +120,18 @@ def _damaged(where: str) -> str:
     return f"{where} is not a complete PNG: copy or record it again, or delete it"
 
 
-def _is_whole(data: bytes) -> bool:
-    """Whether a PNG's chunks follow one another up to its end, each with the checksum that was written."""
-    at = 8
-    while at + 12 <= len(data):
-        (length,) = struct.unpack_from(">I", data, at)
-        end = at + 8 + length
+def _is_complete(data: bytes) -> bool:
+    """Whether a PNG has all its chunks up to its end, each with the correct checksum."""
+    offset = 8
+    while offset + 12 <= len(data):
+        (length,) = struct.unpack_from(">I", data, offset)
+        end = offset + 8 + length
         if end + 4 > len(data):
             return False
-        kind = data[at + 4 : at + 8]
-        if zlib.crc32(memoryview(data)[at + 4 : end]) != struct.unpack_from(">I", data, end)[0]:
+        kind = data[offset + 4 : offset + 8]
+        if zlib.crc32(memoryview(data)[offset + 4 : end]) != struct.unpack_from(">I", data, end)[0]:
             return False
         if kind == b"IEND":
             return True
-        at = end + 4
+        offset = end + 4
     return False

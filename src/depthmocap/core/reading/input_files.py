@@ -1,4 +1,4 @@
-"""Files that users name: opened only if they are regular files, and read up to a limit."""
+"""Opens files that users name, only if they are regular files, and reads them up to a size limit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 from depthmocap.errors import InputError
 
-#: Bytes of the longest text that is read; an hour of joints at 30 frames a second is half of it.
+#: Largest size of a text (bytes); an hour of joints at 30 frames a second is half of it.
 LARGEST_TEXT = 1 << 28
 
 _KINDS = (
@@ -22,52 +22,52 @@ _KINDS = (
 
 
 def check_file(path: Path, missing: str = "") -> os.stat_result:
-    """See that a path is a regular file, before a library opens it; others can keep a reader waiting for ever.
+    """Check that a path is a regular file before a library opens it, because reading other kinds may never return.
 
     Args:
-        missing: what to do when it is not there, for the message.
+        missing: what to do if it does not exist, for the message.
 
     Raises:
-        InputError: when it is missing, a folder, a pipe or a device, or may not be looked at.
+        InputError: when it is missing, a folder, a pipe or a device, or cannot be accessed.
     """
     try:
-        found = path.stat()
+        status = path.stat()
     except FileNotFoundError:
         raise InputError(f"{path} not found" + (f": {missing}" if missing else "")) from None
     except OSError as error:
         raise _unreadable(path, error) from None
     except ValueError:  # a zero byte
         raise InputError(f"{str(path)!r} cannot be a file's name") from None
-    _check_regular(path, found)
-    return found
+    _check_regular(path, status)
+    return status
 
 
 def open_file(path: Path, missing: str = "") -> BinaryIO:
-    """A regular file, to be read as bytes.
+    """Open a regular file for reading bytes.
 
     Raises:
-        InputError: as :func:`check_file`, or when it may not be read.
+        InputError: like :func:`check_file`, or when it cannot be read.
     """
     check_file(path, missing)
-    # Without waiting: what was a file a moment ago may be a pipe by now.
+    # Without blocking, because the file may have been replaced by a pipe since the check.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
     try:
-        number = os.open(path, flags)
+        descriptor = os.open(path, flags)
     except OSError as error:
         raise _unreadable(path, error) from None
     try:
-        _check_regular(path, os.fstat(number))
-        return os.fdopen(number, "rb")
+        _check_regular(path, os.fstat(descriptor))
+        return os.fdopen(descriptor, "rb")
     except BaseException:
-        os.close(number)
+        os.close(descriptor)
         raise
 
 
 def read_bytes(path: Path, most: int, missing: str = "") -> bytes:
-    """All of a regular file of at most so many bytes.
+    """Read all bytes of a regular file, at most ``most``.
 
     Raises:
-        InputError: as :func:`open_file`, or when it is larger.
+        InputError: like :func:`open_file`, or when it is larger.
     """
     with open_file(path, missing) as file:
         try:
@@ -80,10 +80,10 @@ def read_bytes(path: Path, most: int, missing: str = "") -> bytes:
 
 
 def read_text(path: Path, most: int = LARGEST_TEXT, missing: str = "") -> str:
-    """A text in UTF-8, with or without a byte-order mark; line ends become ``\\n``.
+    """Read a text in UTF-8, with or without a byte-order mark; line ends become ``\\n``.
 
     Raises:
-        InputError: as :func:`read_bytes`, or when it is not UTF-8.
+        InputError: like :func:`read_bytes`, or when it is not UTF-8.
     """
     try:
         text = read_bytes(path, most, missing).decode("utf-8-sig")
@@ -92,9 +92,9 @@ def read_text(path: Path, most: int = LARGEST_TEXT, missing: str = "") -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _check_regular(path: Path, found: os.stat_result) -> None:
-    if not stat.S_ISREG(found.st_mode):
-        kind = next((words for test, words in _KINDS if test(found.st_mode)), "no regular file")
+def _check_regular(path: Path, status: os.stat_result) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        kind = next((words for test, words in _KINDS if test(status.st_mode)), "no regular file")
         raise InputError(f"{path} cannot be read: it is {kind}, not a file")
 
 

@@ -1,4 +1,4 @@
-"""JSON that users give, as plain values; and numbers in it, as they are due."""
+"""Reads JSON of users as plain values, and checks the numbers in it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from numpy import ndarray
 from depthmocap.core.reading.input_files import read_bytes
 from depthmocap.errors import InputError
 
-#: Bytes of the largest document; its values may take thirty times as much memory.
+#: Largest size of a document (bytes); its values may take thirty times as much memory.
 LARGEST_JSON = 1 << 25
-#: Brackets within brackets. What goes through the values again one level a call must not run out of levels.
+#: Deepest nesting of brackets, so that recursive functions can go through the values.
 DEEPEST = 64
-#: Digits of a whole number.
+#: Largest number of digits of an integer.
 MOST_DIGITS = 40
 
 _BRACKETS = re.compile(r'"(?:[^"\\]|\\.)*"|[\[{]|[\]}]', re.DOTALL)
@@ -28,11 +28,11 @@ _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
 
 def read_json(path: Path, missing: str = "") -> Any:
-    """A JSON document in UTF-8, with or without a byte-order mark. NaN and Infinity are read as numbers: who needs
-    finite ones takes them by :func:`number`.
+    """Read a JSON document in UTF-8, with or without a byte-order mark. NaN and Infinity are read as numbers, which
+    :func:`number` refuses.
 
     Args:
-        missing: what to do when there is no such file, for the message.
+        missing: what to do if there is no such file, for the message.
 
     Raises:
         InputError: when it cannot be read, is not JSON, or goes beyond the limits of this file.
@@ -41,7 +41,7 @@ def read_json(path: Path, missing: str = "") -> Any:
 
 
 def parse_json(text: bytes | str, where: str) -> Any:
-    """The same of a text. ``where`` it is from goes into messages.
+    """Parse a JSON text like :func:`read_json`. ``where`` is its origin, for messages.
 
     Raises:
         InputError: when it is not JSON, or goes beyond the limits of this file.
@@ -67,38 +67,38 @@ def parse_json(text: bytes | str, where: str) -> Any:
 
 
 def number(value: Any, what: str) -> float:
-    """A value of a document that must be a finite number: no text, no truth value.
+    """Check that a value of a document is a finite number, and neither text nor a truth value.
 
     Args:
-        what: it is, for the message.
+        what: the name of the value, for the message.
 
     Raises:
-        InputError: when it is none.
+        InputError: when it is no such number.
     """
     try:
         if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
             return float(value)
-    except OverflowError:  # a whole number that no float holds
+    except OverflowError:  # an integer too large for a float
         pass
     raise InputError(f"{what} must be a finite number, got {_shown(value)}")
 
 
 def whole_number(value: Any, what: str) -> int:
-    """A value of a document that must be a whole number of at most 64 bits; 512.0 is one.
+    """Check that a value of a document is an integer of at most 64 bits; 512.0 is one.
 
     Raises:
-        InputError: when it is none.
+        InputError: when it is no such integer.
     """
     if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 2**63 and value == int(value):
         return int(value)
     raise InputError(f"{what} must be a whole number, got {_shown(value)}")
 
 
-def number_of_text(text: str, what: str) -> float:
-    """A finite number that is written as text.
+def number_from_text(text: str, what: str) -> float:
+    """Read a finite number from text.
 
     Raises:
-        InputError: when the text is none.
+        InputError: when the text is no such number.
     """
     try:
         return number(float(text), what)
@@ -107,14 +107,14 @@ def number_of_text(text: str, what: str) -> float:
 
 
 def array(value: Any, shape: Sequence[int], what: str, *, unknown: bool = False) -> Float[ndarray, "..."]:
-    """Lists of lists of finite numbers as an array of a shape.
+    """Convert nested lists of finite numbers into an array.
 
     Args:
-        what: it is, for the message.
-        unknown: null and NaN are taken too, and become NaN.
+        what: the name of the value, for the message.
+        unknown: allow null and NaN, which become NaN.
 
     Raises:
-        InputError: when it has another shape, or something else than numbers.
+        InputError: when it has another shape, or holds something other than numbers.
     """
 
     def flat(part: Any, rest: Sequence[int]) -> list[float]:
@@ -125,7 +125,7 @@ def array(value: Any, shape: Sequence[int], what: str, *, unknown: bool = False)
         if not isinstance(part, list) or len(part) != rest[0]:
             size = "×".join(map(str, shape))
             raise InputError(f"{what} must be {size} numbers in lists, row by row, got {_shown(value)}")
-        return [each for inner in part for each in flat(inner, rest[1:])]
+        return [value for inner in part for value in flat(inner, rest[1:])]
 
     return np.array(flat(value, shape), np.float64).reshape(tuple(shape))
 
@@ -141,12 +141,12 @@ def _too_deep(where: str) -> str:
 
 
 def _depth(text: str) -> int:
-    """How deep the brackets of a valid document go."""
+    """The nesting depth of the brackets of a valid document."""
     if text.count("[") + text.count("{") <= DEEPEST:
         return 0
     deepest = depth = 0
-    for found in _BRACKETS.finditer(text):
-        if (letter := found[0][0]) in "[{":
+    for match in _BRACKETS.finditer(text):
+        if (letter := match[0][0]) in "[{":
             depth += 1
             deepest = max(deepest, depth)
         elif letter != '"':
@@ -155,11 +155,11 @@ def _depth(text: str) -> int:
 
 
 def _is_unicode(value: Any) -> bool:
-    """Whether all texts within can be written as UTF-8."""
+    """Whether all texts in the value can be written as UTF-8."""
     if isinstance(value, str):
         return not any("\ud800" <= letter <= "\udfff" for letter in value)
     if isinstance(value, dict):
-        return all(_is_unicode(key) and _is_unicode(each) for key, each in value.items())
+        return all(_is_unicode(key) and _is_unicode(item) for key, item in value.items())
     return not isinstance(value, list) or all(map(_is_unicode, value))
 
 

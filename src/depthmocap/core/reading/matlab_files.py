@@ -1,4 +1,4 @@
-"""MATLAB files that users give. What is packed in them is measured before it is unpacked."""
+"""Reads MATLAB files of users. It measures compressed variables before it unpacks them."""
 
 from __future__ import annotations
 
@@ -12,23 +12,25 @@ from scipy.io import loadmat
 from depthmocap.core.reading.input_files import open_file
 from depthmocap.errors import InputError
 
-#: Bytes that the variables of a file may unpack to.
+#: Largest total size (bytes) of the unpacked variables of a file.
 LARGEST_MAT = 1 << 28
+#: Size of the file's header (bytes).
 _HEADER = 128
-#: The type of a variable that is packed.
+#: Type number of a compressed variable.
 _COMPRESSED = 15
+#: Size of the pieces (bytes) in which compressed variables are measured.
 _PIECE = 1 << 20
 
 
 def read_mat(path: Path, missing: str = "", **options: Any) -> dict[str, Any]:
-    """The variables of a MATLAB file by name.
+    """Read the variables of a MATLAB file by name.
 
     Args:
-        missing: what to do when there is no such file, for the message.
-        options: of SciPy's ``loadmat``.
+        missing: what to do if there is no such file, for the message.
+        options: options of SciPy's ``loadmat``.
 
     Raises:
-        InputError: when it cannot be read, is none of the versions 5 to 7, is damaged, or unpacks to more than
+        InputError: when it cannot be read, is not of version 5 to 7, is damaged, or unpacks to more than
             :data:`LARGEST_MAT`.
     """
     with open_file(path, missing) as file:
@@ -40,14 +42,14 @@ def read_mat(path: Path, missing: str = "", **options: Any) -> dict[str, Any]:
         except InputError:
             raise
         except Exception as error:  # SciPy raises many types for damaged files
-            told = (str(error) or type(error).__name__).splitlines()[0]
+            reason = (str(error) or type(error).__name__).splitlines()[0]
             raise InputError(
-                f"{path} is not a readable MATLAB file (v5 to v7): {told}; fetch or write it again"
+                f"{path} is not a readable MATLAB file (v5 to v7): {reason}; fetch or write it again"
             ) from None
 
 
 def _is_small(file: BinaryIO) -> bool:
-    """Whether all variables of a file, packed ones unpacked piece by piece, are within the limit."""
+    """Whether the variables of a file are within the size limit; compressed ones are unpacked piece by piece."""
     header = file.read(_HEADER)
     order = "<" if header[126:128] == b"IM" else ">"
     total = 0

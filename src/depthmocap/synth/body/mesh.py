@@ -19,7 +19,7 @@ from jaxtyping import Float, Int, UInt8
 from numpy import ndarray
 
 from depthmocap.body.skeleton import ANNY_BONES
-from depthmocap.core.caches import see_to_home, temporary_cache
+from depthmocap.core.caches import ensure_home, temporary_cache
 from depthmocap.errors import missing_extra
 from depthmocap.kernels.skin import skin
 from depthmocap.synth.body.bones import POSTURE_BONES, POSTURE_OF_ANNY, world_rotations
@@ -144,7 +144,7 @@ class BodyModel:
         Raises:
             InputError: when anny is not installed.
         """
-        see_to_home()
+        ensure_home()
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
-from depthmocap.core.output import replacing
-from depthmocap.core.reading.array_files import ArrayType, read_npz, why
+from depthmocap.core.output import atomic_write
+from depthmocap.core.reading.array_files import ArrayType, error_reason, read_npz
 from depthmocap.core.reading.json_text import parse_json
 from depthmocap.errors import InputError
 from depthmocap.synth.motion.mocap import SPLITS
@@ -65,7 +65,7 @@ class PosturePool:
         Raises:
             InputError: when it cannot be written, or does not end in .npz.
         """
-        with replacing(path) as unfinished:
+        with atomic_write(path) as unfinished:
             np.savez_compressed(
                 unfinished,
                 format=np.array(_FORMAT),
@@ -98,7 +98,8 @@ class PosturePool:
             _check(arrays, len(names))
         except InputError as error:
             raise InputError(
-                f"{path} is not a readable posture pool: {why(error, path)}; make one with: depthmocap postures build"
+                f"{path} is not a readable posture pool: {error_reason(error, path)}; "
+                "make one with: depthmocap postures build"
             ) from None
         arrays["postures"] = arrays["postures"].astype(np.float32)
         arrays["postures"] *= np.float32(_STEP_RAD)

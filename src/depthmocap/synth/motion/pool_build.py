@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
+from depthmocap.core.locks import locks_outputs
 from depthmocap.core.output import check_outputs
 from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
@@ -93,7 +93,7 @@ class _Quota:
     easy: int
 
 
-@owns(files=("out",))
+@locks_outputs(files=("out",))
 def build_pool(settings: PoolBuild) -> PosturePool:
     """Read the clips one by one, pick, fill, write the pool, and print what it holds. Memory grows with the number of
     postures asked for (about 1.5 kB each), not with that of the clips.

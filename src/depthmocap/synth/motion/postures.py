@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
-from depthmocap.core.reading.array_files import ArrayType, read_npz, why
+from depthmocap.core.reading.array_files import ArrayType, error_reason, read_npz
 from depthmocap.errors import InputError
 from depthmocap.synth.body.bones import (
     POSTURE_BONES,
@@ -240,7 +240,7 @@ class PosturePrior:
             if any((arrays[name] < 0).any() or arrays[name].sum() <= 0 for name in ("weights", "simple_weights")):
                 raise InputError("its weights must be at least 0, and one above")
         except InputError as error:
-            raise InputError(f"{source} is not a posture prior: {why(error, source)}") from None
+            raise InputError(f"{source} is not a posture prior: {error_reason(error, source)}") from None
         return cls(**arrays, simple=simple, variation=variation.of(simple))
 
     def sample(self, rng: np.random.Generator) -> tuple[Float[ndarray, "20 3"], int]:

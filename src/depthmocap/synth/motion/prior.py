@@ -10,8 +10,8 @@ import numpy as np
 from sklearn.mixture import GaussianMixture
 
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
-from depthmocap.core.output import replacing
+from depthmocap.core.locks import locks_outputs
+from depthmocap.core.output import atomic_write
 from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError
 from depthmocap.synth.body.bones import mirror_posture
@@ -45,7 +45,7 @@ class PriorTraining:
         check_seed(self.seed)
 
 
-@owns(files=("out",))
+@locks_outputs(files=("out",))
 def train_prior(settings: PriorTraining) -> Path:
     """Fit the prior on the training clips and their mirror images; returns its path (about 120 kB).
 
@@ -89,5 +89,5 @@ def fit_prior(clips: Sequence[Clip], settings: PriorTraining) -> None:
         "means": np.asarray(mixture.means_),
         "factors": factors,
     }
-    with replacing(settings.out) as unfinished:
+    with atomic_write(settings.out) as unfinished:
         np.savez_compressed(unfinished, **{name: array.astype(np.float16) for name, array in arrays.items()})

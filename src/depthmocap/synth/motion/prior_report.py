@@ -12,7 +12,7 @@ from numpy import ndarray
 from rich.table import Table
 
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
+from depthmocap.core.locks import locks_outputs
 from depthmocap.core.output import check_outputs, write_json
 from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
@@ -65,7 +65,7 @@ class PostureReport:
         check_seed(self.seed)
 
 
-@owns(files=("json",))
+@locks_outputs(files=("json",))
 def report_postures(settings: PostureReport) -> dict[str, Any]:
     """Compare the prior, training clips, and training clips as they are varied for training, with held-out clips:
     distances to the nearest, both ways, and plausibility. Prints a table; returns (and writes) the numbers.

@@ -14,8 +14,8 @@ from numpy import ndarray
 from PIL import Image
 
 from depthmocap.core.console import Terminal
-from depthmocap.core.locks import owns
-from depthmocap.core.output import replacing
+from depthmocap.core.locks import locks_outputs
+from depthmocap.core.output import atomic_write
 from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError
 from depthmocap.geometry.transforms import look_at
@@ -57,7 +57,7 @@ class SensorSheetSettings:
         check_seed(self.seed)
 
 
-@owns(files=("out",))
+@locks_outputs(files=("out",))
 def write_sensor_sheet(settings: SensorSheetSettings) -> None:
     """The command: see :func:`sensor_sheet`."""
     sensor_sheet(settings.out, settings.seed)
@@ -90,7 +90,7 @@ def sensor_sheet(path: Path, seed: int = 0) -> None:
             0.0, -0.04, name, transform=axes[row, first].transAxes, va="top", fontsize=8, color="#2a2f35"
         )
     canvas.draw()
-    with replacing(path) as unfinished:
+    with atomic_write(path) as unfinished:
         Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).save(unfinished, quality=80)
 
 

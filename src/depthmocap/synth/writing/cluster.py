@@ -14,7 +14,7 @@ import socket
 from collections.abc import Callable, Generator, Iterable, Iterator
 from typing import Any, TypeVar
 
-from depthmocap.core.interrupts import keeping_handlers
+from depthmocap.core.interrupts import preserved_handlers
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.synth.writing.workers import limit_threads
 
@@ -95,7 +95,7 @@ class RayCluster:
             self._connection.enter_context(_to_itself())
         try:
             _knock(self._address)
-            with keeping_handlers():
+            with preserved_handlers():
                 ray.init(address=self._address, log_to_driver=False, logging_level=logging.ERROR, **options)
         except Exception as error:  # Ray raises plain ones too
             reason = str(error).partition("\n")[0]

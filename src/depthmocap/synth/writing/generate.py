@@ -27,7 +27,7 @@ from rich.text import Text
 
 from depthmocap.core.console import Terminal
 from depthmocap.core.cores import usable_cores
-from depthmocap.core.locks import LOCK_FILE, own_folder
+from depthmocap.core.locks import LOCK_FILE, lock_folder
 from depthmocap.core.output import write_file
 from depthmocap.core.settings import check_seed, plain_settings, read_settings
 from depthmocap.core.version import __version__
@@ -132,7 +132,7 @@ def _make_set(settings: SynthSettings, cluster: RayCluster | None, console: Cons
     recipe = settings.recipe
     folder = settings.out / f"{recipe.subset}-pose" / recipe.split
     try:
-        with own_folder(folder):
+        with lock_folder(folder):
             if not (folder / "settings.json").exists() and (found := _others(folder)):
                 raise InputError(
                     f"{folder} holds files of something else ({', '.join(found[:3])}) and no settings.json: "

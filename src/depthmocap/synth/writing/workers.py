@@ -20,7 +20,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import cv2
 
-from depthmocap.core.interrupts import leave_ending_to_parent
+from depthmocap.core.interrupts import ignore_signals
 from depthmocap.errors import InputError
 
 _Task = TypeVar("_Task")
@@ -157,7 +157,7 @@ class _Worker(Generic[_Task]):
 
 def _work(pipe: Connection) -> None:
     """What a worker does."""
-    leave_ending_to_parent()
+    ignore_signals()
     limit_threads()
     messages: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(pipe, messages), daemon=True).start()

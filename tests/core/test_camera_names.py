@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from depthmocap.cameras.registry import make_sources
-from depthmocap.core.names import check_camera_name, safe_name, safe_names
+from depthmocap.core.camera_names import check_camera_name, safe_name, safe_names
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, load_rig
 from depthmocap.recordings.recording import Recording

@@ -1,6 +1,6 @@
-"""Names of cameras: one rule for all that reads or writes them.
+"""The rule for names of cameras.
 
-A camera's name is a folder's name, a part of MCAP topics and a word in tables, on any system.
+A camera's name must work as a folder name on any system, as a part of MCAP topics, and as a word in tables.
 """
 
 from __future__ import annotations
@@ -9,15 +9,15 @@ import re
 from collections.abc import Iterable
 
 from depthmocap.errors import InputError
-from depthmocap.text import is_shown
+from depthmocap.text import is_visible
 
-#: Bytes of a name in UTF-8: file systems take 143 at least, and files in the folder have longer paths.
+#: Longest name in bytes of UTF-8. Every file system takes 143; the paths of files in the folder are longer.
 _LONGEST = 128
-#: Signs that a file's name cannot have on some system, or that part the names in a path.
+#: Characters that file names cannot have on some system, or that separate the names in a path.
 _FORBIDDEN = '/\\:*?"<>|'
-#: Names of devices on Windows, with any ending, in any case.
+#: Device names of Windows, which are reserved with any ending and in any case.
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in range(1, 10))}
-#: What recordings use themselves: files of the folder, and the frame that MCAP's transforms lead to.
+#: Names that recordings use: files of the folder, and the world frame of MCAP's transforms.
 _OURS = {"rig.json", "truth.csv", "unfinished.json", "world"}
 
 
@@ -26,10 +26,10 @@ def _is_reserved(name: str) -> bool:
 
 
 def _fault(name: str) -> str:
-    """Why a name cannot be a camera's; nothing if it can."""
+    """The reason why a camera cannot have this name; empty if it can."""
     if not name:
         return "is empty"
-    if bad := next((letter for letter in name if letter in _FORBIDDEN or not is_shown(letter)), ""):
+    if bad := next((letter for letter in name if letter in _FORBIDDEN or not is_visible(letter)), ""):
         return f"has {bad!r} in it"
     if name[0] in " ." or name[-1] in " .":
         return "begins or ends with a dot or a space"
@@ -39,23 +39,23 @@ def _fault(name: str) -> str:
 
 
 def check_camera_name(name: str) -> None:
-    """See that a name can be a camera's.
+    """Check that a camera can have this name.
 
     Raises:
-        InputError: when it is no text, cannot be a folder's name on every system, or means something else there or in
-            a recording.
+        InputError: when it is no text, cannot be a folder name on every system, or is reserved by a system or by
+            recordings.
     """
-    if not isinstance(name, str):  # as files may have it
+    if not isinstance(name, str):  # files may hold any type
         raise InputError(f"a camera's name must be text, got {name!r}")
     if fault := _fault(name):
         raise InputError(f"{name!r} {fault}, so that it cannot be a camera's name: call it {safe_name(name)!r}")
 
 
 def safe_name(name: str, taken: Iterable[str] = ()) -> str:
-    """The name itself if it can be a camera's, otherwise one that is like it; other than those that are taken."""
+    """The name itself if a camera can have it, otherwise a similar one; never one of those in ``taken``."""
     kept = name
     if _fault(name):
-        letters = (letter if letter not in _FORBIDDEN and is_shown(letter) else "\0" for letter in name)
+        letters = (letter if letter not in _FORBIDDEN and is_visible(letter) else "\0" for letter in name)
         kept = re.sub("\0+", "-", "".join(letters)).encode()[: _LONGEST - 16].decode(errors="ignore").strip(" .-")
         if not kept or _is_reserved(kept):
             kept = f"camera-{kept}" if kept else "camera"
@@ -67,10 +67,10 @@ def safe_name(name: str, taken: Iterable[str] = ()) -> str:
 
 
 def safe_names(names: Iterable[str]) -> dict[str, str]:
-    """For each name one that can be a camera's: itself where it can, and no two the same."""
+    """A distinct valid camera name for each name: the name itself if it is valid."""
     names = list(names)
-    found = {name: name for name in names if not _fault(name)}
+    valid = {name: name for name in names if not _fault(name)}
     for name in names:
-        if name not in found:
-            found[name] = safe_name(name, found.values())
-    return {name: found[name] for name in names}
+        if name not in valid:
+            valid[name] = safe_name(name, valid.values())
+    return {name: valid[name] for name in names}
