@@ -38,7 +38,7 @@ results: $(VENV)/body
 
 # The site, into out/site; it is built from the pages, the code and the commands' own help.
 docs: $(VENV)/docs
-	$(BIN)/mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 $(VENV)/base: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
