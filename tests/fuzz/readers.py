@@ -219,7 +219,7 @@ def _picture(folder: Path) -> None:
 
 def _label(folder: Path) -> None:
     """All of ``depthmocap label`` but the network."""
-    from depthmocap.offline.run import label
+    from depthmocap.offline import label
 
     with unittest.mock.patch.object(label, "Classifier", lambda weights: _Everywhere()):
         for name, ubc3v in (("depth.png", False), ("depth.tif", False), ("rgba.png", True)):
