@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 
 import depthmocap
-from depthmocap.train.pose_samples import PoseSamples
+from depthmocap.train.pose_samples import PoseSampleSettings
 from depthmocap.train.train_pose import PoseTraining, train_pose
 
 
 def main(recording: Path, out: Path, samples: int = 40) -> None:
     """Fit ridge regression for three cameras and capture a recording with it. Run it again, and samples are kept."""
-    people = PoseSamples(subset="open", samples=samples, views=(3,), vary=False, workers=0)
+    people = PoseSampleSettings(subset="open", samples=samples, views=(3,), vary=False, workers=0)
     train_pose(PoseTraining(out, people, estimators="ridge"))
 
     for estimator in (out / "ridge_network.npz", "ridge", "votes"):

@@ -23,9 +23,10 @@ from depthmocap.synth.sample import Recipe
 from depthmocap.synth.writing.generate import SynthSettings, generate
 from depthmocap.train import train_classifier as train
 from depthmocap.train import train_votes as votes_train
+from depthmocap.train.checkpoints import load_weights
 from depthmocap.train.networks import FastNet
-from depthmocap.train.pose_samples import PoseSamples, collect, read_samples, with_parts_of
-from depthmocap.train.train_classifier import ClassifierTraining, load_weights, train_classifier
+from depthmocap.train.pose_samples import PoseSampleSettings, append_parts, collect, read_samples
+from depthmocap.train.train_classifier import ClassifierTraining, train_classifier
 from depthmocap.train.train_pose import PoseTraining, train_pose
 
 QUIET = Console(quiet=True)
@@ -137,7 +138,7 @@ def test_evaluation_says_what_is_missing(tmp_path, capsys):
 
 
 def test_train_pose_from_a_folder(root, tmp_path):
-    source = PoseSamples(str(root), subset="hard", samples=24, views=(2, 3))
+    source = PoseSampleSettings(str(root), subset="hard", samples=24, views=(2, 3))
     settings = PoseTraining(tmp_path, source, minutes=0.05)
     network, true, votes = train_pose(settings)
     assert [path.name for path in (network, true, votes)] == ["ridge_network.npz", "ridge_true.npz", "votes.onnx"]
@@ -151,11 +152,11 @@ def test_train_pose_from_a_folder(root, tmp_path):
 
 def test_the_votes_learn_from_earlier_samples_too(root, tmp_path, monkeypatch):
     skip_export_of_votes(monkeypatch)
-    source = PoseSamples(str(root), subset="hard", samples=24, views=(2,))
+    source = PoseSampleSettings(str(root), subset="hard", samples=24, views=(2,))
     one, two = (
         collect(dataclasses.replace(source, views=views), tmp_path / f"of {views[0]}", QUIET) for views in ((2,), (3,))
     )
-    both = with_parts_of(one, [read_samples(tmp_path / "of 3", PoseSamples(views=()))])
+    both = append_parts(one, [read_samples(tmp_path / "of 3", PoseSampleSettings(views=()))])
     n = len(one.joints)
     assert both.parts["network"].shape[:2] == (2 * n, 3)
     np.testing.assert_array_equal(both.parts["true"][:n, :2], one.parts["true"])
@@ -171,7 +172,7 @@ def test_the_votes_learn_from_earlier_samples_too(root, tmp_path, monkeypatch):
 
 
 def test_train_pose_in_the_world_from_synth(body_model, tmp_path):
-    source = PoseSamples(samples=30, views=(3,), frame="world", workers=0)
+    source = PoseSampleSettings(samples=30, views=(3,), frame="world", workers=0)
     settings = PoseTraining(tmp_path, source, "ridge")
     for path in train_pose(settings):
         assert RidgeBank.load(path).frame == "world"
@@ -187,7 +188,7 @@ def test_train_pose_in_the_world_from_synth(body_model, tmp_path):
         ({"minutes": np.nan}, "--minutes must be finite and above 0"),
         ({"minutes": -1.0}, "--minutes must be finite and above 0"),
         ({"learning_rate": np.inf}, "--learning-rate must be finite and above 0"),
-        ({"source": PoseSamples(samples=19)}, "--samples must be at least 20"),
+        ({"source": PoseSampleSettings(samples=19)}, "--samples must be at least 20"),
     ],
 )
 def test_pose_training_that_cannot_be(tmp_path, change, message):
@@ -259,7 +260,7 @@ def test_a_run_that_is_interrupted_loses_no_step(root, tmp_path, monkeypatch):
 
 def test_votes_that_are_interrupted_are_kept(root, tmp_path, monkeypatch):
     skip_export_of_votes(monkeypatch)
-    source = PoseSamples(str(root), subset="hard", samples=24, views=(2,))
+    source = PoseSampleSettings(str(root), subset="hard", samples=24, views=(2,))
     settings = PoseTraining(tmp_path / "run", source, "votes", minutes=30.0)
     steps = iter(range(100))
     original = votes_train.augment

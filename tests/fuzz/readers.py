@@ -199,9 +199,9 @@ def _pose_samples(folder: Path) -> None:
 
 
 def _read_pose_samples(folder: Path) -> None:
-    from depthmocap.train.pose_samples import PoseSamples, read_samples
+    from depthmocap.train.pose_samples import PoseSampleSettings, read_samples
 
-    read_samples(folder, PoseSamples(views=(1,)))
+    read_samples(folder, PoseSampleSettings(views=(1,)))
 
 
 def _picture(folder: Path) -> None:
@@ -500,7 +500,7 @@ def _weights(folder: Path) -> None:
 def _read_weights(folder: Path) -> None:
     import torch
 
-    from depthmocap.train.train_classifier import load_weights
+    from depthmocap.train.checkpoints import load_weights
 
     load_weights(torch.nn.Linear(3, 2), folder / "weights.safetensors")
 
@@ -514,9 +514,9 @@ def _checkpoint(folder: Path) -> None:
 
 
 def _read_run(folder: Path) -> None:
-    from depthmocap.train.train_classifier import _read_checkpoint
+    from depthmocap.train.checkpoints import read_checkpoint
 
-    _read_checkpoint(folder / "checkpoint.pt", "cpu")
+    read_checkpoint(folder / "checkpoint.pt", "cpu")
 
 
 def _specs(folder: Path) -> None:

@@ -23,8 +23,9 @@ from depthmocap.train import ablations  # noqa: E402
 from depthmocap.train import train_classifier as train  # noqa: E402
 from depthmocap.train.ablations import ABLATIONS, AblationTraining, train_ablations  # noqa: E402
 from depthmocap.train.batches import Ingredient, WindowSource, training_batches  # noqa: E402
+from depthmocap.train.checkpoints import load_weights  # noqa: E402
 from depthmocap.train.networks import FastNet  # noqa: E402
-from depthmocap.train.train_classifier import ClassifierTraining, load_weights, make_network, train_classifier  # noqa: E402
+from depthmocap.train.train_classifier import ClassifierTraining, make_network, train_classifier  # noqa: E402
 
 QUIET = Console(quiet=True)
 

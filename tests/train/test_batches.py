@@ -11,7 +11,7 @@ from depthmocap.body.regions import MIRROR, UNLABELLED  # noqa: E402
 from depthmocap.body.skeleton import JOINT_INDEX  # noqa: E402
 from depthmocap.synth.body.mesh import BodyModel  # noqa: E402
 from depthmocap.synth.motion.postures import PosturePrior  # noqa: E402
-from depthmocap.train.batches import mirrored, sorted_batches, training_batches, widened  # noqa: E402
+from depthmocap.train.batches import mirror_window, pad_window, sorted_batches, training_batches  # noqa: E402
 from depthmocap.train.networks import FastNet, masked_outputs  # noqa: E402
 from depthmocap.train.windows import LabelledWindow, training_window  # noqa: E402
 
@@ -29,7 +29,7 @@ def numbered(number: int, height: int, width: int) -> LabelledWindow:
 
 def test_a_wider_window_shows_the_same(window: LabelledWindow) -> None:
     height, width = window.labels.shape
-    wide = widened(window, height + 64, width + 32)
+    wide = pad_window(window, height + 64, width + 32)
     assert wide.inputs.shape == (3, height + 64, width + 32)
     inner = slice(32, 32 + height), slice(16, 16 + width)
     np.testing.assert_array_equal(wide.inputs[(slice(None), *inner)], window.inputs)
@@ -50,14 +50,14 @@ def test_a_wider_window_shows_the_same(window: LabelledWindow) -> None:
 
 
 def test_mirror_image(window: LabelledWindow) -> None:
-    other = mirrored(window)
+    other = mirror_window(window)
     person = window.labels != UNLABELLED
     np.testing.assert_array_equal(other.labels[:, ::-1][person], MIRROR[window.labels[person]])
     assert (other.labels == UNLABELLED).sum() == (~person).sum()
     np.testing.assert_array_equal(other.inputs[:, :, ::-1], window.inputs)
     left, right = JOINT_INDEX["LHand"], JOINT_INDEX["RHand"]
     np.testing.assert_array_equal(other.joints[left], window.joints[right] * [-1, 1, 1])
-    for array, same in zip(mirrored(other), window, strict=True):
+    for array, same in zip(mirror_window(other), window, strict=True):
         np.testing.assert_array_equal(array, same)
 
 
@@ -66,12 +66,12 @@ def test_alike_windows_come_together() -> None:
     batches = list(sorted_batches(windows, 4))
     assert [tuple(batch.labels.shape) for batch in batches] == [(4, 192, 64), (4, 192, 128), (2, 192, 128)]
     assert sorted(torch.cat([batch.joints[:, 0, 0] for batch in batches]).tolist()) == list(range(10))
-    # The second batch holds one of the narrow ones, widened.
+    # The second batch holds one of the narrow ones, pad_window.
     assert batches[1].labels[0, 0].tolist() == [UNLABELLED] * 32 + [1] * 64 + [UNLABELLED] * 32
 
 
 def test_every_window_is_shown_twice(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("depthmocap.train.batches._APART", 20)
+    monkeypatch.setattr("depthmocap.train.batches._MIRROR_DELAY", 20)
     few = ([numbered(4 * k + i + 1, 64, 192) for i in range(4)] for k in range(40))
     shown = torch.cat([batch.joints[:, 0, 0] for batch in training_batches(few, 4, seed=0)])
     plain, images = shown[shown > 0].tolist(), (-shown[shown < 0]).tolist()  # mirroring turns the sign

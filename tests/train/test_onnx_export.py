@@ -18,12 +18,10 @@ from depthmocap.classify.classifier import Classifier  # noqa: E402
 from depthmocap.classify.window import WINDOW  # noqa: E402
 from depthmocap.synth.body.mesh import BodyModel  # noqa: E402
 from depthmocap.synth.motion.postures import posture_source  # noqa: E402
+from depthmocap.train.checkpoints import load_weights  # noqa: E402
 from depthmocap.train.networks import CLASSES, FastNet  # noqa: E402
 from depthmocap.train.onnx_export import export_onnx  # noqa: E402
 from depthmocap.train.quantise import quantise  # noqa: E402
-from depthmocap.train.train_classifier import (  # noqa: E402
-    load_weights,
-)
 from depthmocap.train.windows import training_window  # noqa: E402
 
 WEIGHTS = Path(__file__).parents[2] / "weights" / "fast.safetensors"

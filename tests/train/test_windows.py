@@ -15,14 +15,14 @@ from depthmocap.synth.body.mesh import BodyModel
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, PosturePrior
 from depthmocap.synth.sensing.sensors import SENSORS
 from depthmocap.train import windows as data
-from depthmocap.train.windows import Spoiling, training_window
+from depthmocap.train.windows import Degradations, training_window
 
-OFTEN = Spoiling()
+OFTEN = Degradations()
 HEAD = [REGION[name] for name in ("forehead", "hair R", "hair L", "face R", "face L")]
-NEVER = Spoiling(truncate=0.0, scene=0.0, floor=0.0, occlude=0.0, erode=0.0)
+NEVER = Degradations(truncate=0.0, scene=0.0, floor=0.0, occlude=0.0, erode=0.0)
 
 
-def window(index: int, spoiling: Spoiling | None = OFTEN, seed: int = 0) -> data.LabelledWindow:
+def window(index: int, spoiling: Degradations | None = OFTEN, seed: int = 0) -> data.LabelledWindow:
     postures = PosturePrior.load(variation=TRAINING_VARIATION)
     return training_window(seed, index, "open", postures, spoiling)
 
@@ -70,9 +70,9 @@ def test_depends_on_seed_and_index_alone(windows: list[data.LabelledWindow]) -> 
     assert not np.array_equal(windows[4][1], windows[3][1])
 
 
-def _share(spoiling: Spoiling | None, label: int) -> float:
+def _share(spoiling: Degradations | None, label: int) -> float:
     """Share of a label in the masks of some windows, each of another person: outfits differ far more than views."""
-    drawn = [window(index * data._WINDOWS_A_PERSON, spoiling) for index in range(24)]
+    drawn = [window(index * data._WINDOWS_PER_PERSON, spoiling) for index in range(24)]
     return float(np.mean([(labels[inputs[1] > 0] == label).mean() for inputs, labels, _ in drawn]))
 
 
@@ -103,7 +103,7 @@ def test_what_a_little_cloth_covers_is_not_known(body_model: BodyModel) -> None:
 def test_occlusion_takes_pixels_from_the_mask(body_model: BodyModel) -> None:
     occluded = dataclasses.replace(NEVER, occlude=1.0)
 
-    def hidden(spoiling: Spoiling) -> float:
+    def hidden(spoiling: Degradations) -> float:
         """Share of the person's labelled pixels that are not in the mask."""
         drawn = [window(index, spoiling) for index in range(16)]
         return float(
@@ -114,7 +114,7 @@ def test_occlusion_takes_pixels_from_the_mask(body_model: BodyModel) -> None:
 
 
 def test_truncation_cuts_bodies_off(body_model: BodyModel) -> None:
-    def missing(spoiling: Spoiling) -> float:
+    def missing(spoiling: Degradations) -> float:
         return float(np.mean([43 - len(np.unique(window(index, spoiling)[1])) for index in range(24)]))
 
     assert missing(dataclasses.replace(NEVER, truncate=1.0)) > missing(NEVER) + 2

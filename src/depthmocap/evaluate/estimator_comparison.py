@@ -25,7 +25,7 @@ from depthmocap.errors import InputError, missing_extra
 from depthmocap.pose.labelled_view import Labels
 from depthmocap.pose.parts import body_frame, network_inputs
 from depthmocap.pose.ridge import feature_moments, fit_ridge, grouped_folds, standardise
-from depthmocap.train.pose_samples import Collected, PoseSamples, read_samples
+from depthmocap.train.pose_samples import CollectedSamples, PoseSampleSettings, read_samples
 from depthmocap.train.train_pose import CLIP, FEWEST_SAMPLES
 
 #: Strengths of LASSO, for standardised features and joints in metres.
@@ -71,7 +71,7 @@ def compare_estimators(settings: EstimatorComparison, console: Console | None = 
         InputError: when the samples cannot be read or are of too few clips.
     """
     console = console or Terminal(stderr=True)
-    samples = read_samples(settings.samples, PoseSamples(views=settings.views))
+    samples = read_samples(settings.samples, PoseSampleSettings(views=settings.views))
     held_out = set(np.unique(samples.groups)[grouped_folds(np.unique(samples.groups), settings.folds) == 0].tolist())
     numbers: dict[str, dict[str, dict[str, float]]] = {}
     for count in settings.views:
@@ -180,7 +180,7 @@ def _perceptron(features: ndarray, joints: ndarray, groups: ndarray, settings: E
 
 
 def _votes(
-    samples: Collected, held_out: set[int], settings: EstimatorComparison, console: Console
+    samples: CollectedSamples, held_out: set[int], settings: EstimatorComparison, console: Console
 ) -> dict[str, dict[str, float]]:
     """Trained on the other clips; measured on up to two random choices of cameras a sample, as the others are."""
     from depthmocap.pose.votes import run_votes, voting_session

@@ -18,11 +18,11 @@ from depthmocap.errors import InputError
 from depthmocap.report.page import ReportSection, ReportTable, write_report
 from depthmocap.synth.sample import Subset
 from depthmocap.train.batches import Ingredient, WindowSource
+from depthmocap.train.checkpoints import load_weights
+from depthmocap.train.classifier_settings import ClassifierTraining
 from depthmocap.train.networks import FastNet
 from depthmocap.train.train_classifier import (
-    ClassifierTraining,
     evaluate_windows,
-    load_weights,
     make_network,
     train_classifier,
 )
@@ -95,7 +95,7 @@ def train_ablations(settings: AblationTraining, console: Console | None = None) 
     claim_folder(settings.out, settings, "ablations", ("out", "workers", "device", "only"))
     source = WindowSource("fast", "synth", "open", settings.postures, settings.seed)
     valid = source.valid(settings.valid_images)
-    found: dict[str, Any] = {"images": settings.images, "valid_images": settings.valid_images, "runs": {}}
+    table: dict[str, Any] = {"images": settings.images, "valid_images": settings.valid_images, "runs": {}}
     for ablation in ABLATIONS:
         last = settings.training(ablation, len(_CURRICULUM) - 1)
         measured = last.out / "measured.json"
@@ -108,25 +108,25 @@ def train_ablations(settings: AblationTraining, console: Console | None = None) 
             network = make_network(last)
             assert isinstance(network, FastNet)
             load_weights(network, last.out / "classifier.safetensors")
-            seen = dataclasses.replace(source, without=last.without)
-            shown = [seen.as_seen(window) for window in valid]
-            accuracy, joint_m = evaluate_windows(network.to(settings.device), shown, settings.device)
+            run_source = dataclasses.replace(source, without=last.without)
+            windows = [run_source.at_resolution(window) for window in valid]
+            accuracy, joint_m = evaluate_windows(network.to(settings.device), windows, settings.device)
             row = {
                 "pixel_accuracy": accuracy.pixel_accuracy, "class_accuracy": accuracy.class_accuracy,
                 "joint_error_cm": joint_m * 100,
             }  # fmt: skip
             write_json(measured, row)
         if measured.exists():
-            found["runs"][ablation] = json.loads(measured.read_text(encoding="utf-8"))
-            write_json(settings.out / "table.json", found)
-    rows = _rows(found["runs"])
-    table = Table(*_HEADER, title=_title(settings))
+            table["runs"][ablation] = json.loads(measured.read_text(encoding="utf-8"))
+            write_json(settings.out / "table.json", table)
+    rows = _rows(table["runs"])
+    printed = Table(*_HEADER, title=_title(settings))
     for row in rows:
-        table.add_row(*row)
-    console.print(table)
+        printed.add_row(*row)
+    console.print(printed)
     section = ReportSection(_title(settings), (), (ReportTable(_HEADER, rows),))
     write_report(settings.out / "report.html", "What each ingredient is worth", [section])
-    return found
+    return table
 
 
 _HEADER = ("training", "pixels", "regions (mean)", "joints of one view")

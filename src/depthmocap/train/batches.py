@@ -1,4 +1,4 @@
-"""The labelled windows that networks are trained and validated on, as torch data sets without an end (extra: train)."""
+"""Labelled windows for training and validation, as endless torch data sets, and batches of them (extra: train)."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from depthmocap.frames import View
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, Variation, posture_source
 from depthmocap.synth.sample import Recipe, Split, Subset
 from depthmocap.synth.sample import Sampler as SampleSampler
-from depthmocap.train.windows import LabelledWindow, Spoiling, joint_places, training_window
+from depthmocap.train.windows import Degradations, LabelledWindow, labelled_window, training_window
 
-#: Validation draws from this seed whatever the run's: numbers of different runs compare.
+#: Seed of all validation sets, so that numbers of different runs can be compared.
 _VALID_SEED = 1_000_003
 _ENDLESS = 1 << 40
-#: So many batches at a time are sorted by the size of their windows.
-_SORTED = 8
-#: So many windows lie between one and its mirror image.
-_APART = 1024
-#: What training of our network can do without, to find out what it is worth: batch normalisation; half the channels;
-#: clothes; the sensors' errors; what hides, clings and spoils the mask; mirror images; postures beyond the recorded;
-#: every second row and column of pixels.
+#: Number of batches that are sorted together by the size of their windows.
+_SORTED_BATCHES = 8
+#: Number of windows between one and its mirror image.
+_MIRROR_DELAY = 1024
+#: What the training of our network can leave out, to measure its worth: batch normalisation; half the channels;
+#: clothes; the sensors' errors; occlusion and errors of the mask; mirror images; postures beyond the recorded; every
+#: second row and column of pixels.
 Ingredient = Literal["norm", "width", "clothes", "errors", "spoiling", "mirror", "variation", "resolution"]
 
 
@@ -44,13 +44,13 @@ class WindowSource:
     """Where the windows of a network come from.
 
     Attributes:
-        network: by which windows are made. Ours learns from pictures of any sensor, with its errors, spoilt as
-            segmentation spoils them; the paper's from exact depth of UBC3V's sensor and perfect masks.
+        network: name of the network. Ours learns from pictures of any sensor, with its errors and with errors of
+            segmentation; the paper's from exact depth of UBC3V's sensor and perfect masks.
         data: "synth", or the root of a UBC3V set.
         subset: who is in the pictures.
         postures: folder of clips or a pool made of them; without it the packaged prior.
-        without: what our network's training pictures lack; those of validation are always the same, but for their
-            resolution.
+        without: ingredients that our network's training pictures lack; validation pictures are always the same, except
+            for their resolution.
     """
 
     network: NetworkName
@@ -61,7 +61,7 @@ class WindowSource:
     without: tuple[Ingredient, ...] = ()
 
     def train(self, first: int = 0) -> Dataset[LabelledWindow]:
-        """Windows from the ``first`` on, without end.
+        """Windows from number ``first`` on, without end.
 
         Raises:
             InputError: postures or data that cannot be read.
@@ -84,27 +84,27 @@ class WindowSource:
             source = _PaperWindows(fixed, "valid", 0)
             return [source[i] for i in range(count)]
         postures = posture_source(self.postures, "valid", self.subset == "easy")
-        return [self.as_seen(training_window(fixed.seed, i, self.subset, postures, None)) for i in range(count)]
+        return [self.at_resolution(training_window(fixed.seed, i, self.subset, postures, None)) for i in range(count)]
 
-    def as_seen(self, window: LabelledWindow) -> LabelledWindow:
-        """The window in the resolution of this source: half of it leaves every second row and column, drawn twice."""
+    def at_resolution(self, window: LabelledWindow) -> LabelledWindow:
+        """The window at the resolution of this source; half of it keeps every second row and column, repeated twice."""
         if "resolution" not in self.without:
             return window
         return window._replace(inputs=window.inputs[:, ::2, ::2].repeat(2, 1).repeat(2, 2))
 
     def window(self, view: View, joints: Float[ndarray, "18 3"] | None) -> LabelledWindow | None:
-        """The window of a view with mask and labels; None where nobody is. Only our network learns the joints."""
+        """The window of a view with mask and labels; None without a person. Only our network learns the joints."""
         assert view.mask is not None and view.labels is not None
         window = WINDOW_MAKERS[self.network](view.depth_m, view.mask, view.camera)
         if window is None:
             return None
-        labels = window.labels_from_image(view.labels, UNLABELLED)
-        places = np.full((len(JOINTS), 3), np.nan, np.float32)
-        if self.network == "paper":  # which learns what is not the person, too
-            labels[window.inputs[1] == 0] = 0
-        elif joints is not None:
-            places = joint_places(window, joints, view.camera)
-        return LabelledWindow(window.inputs, labels, places)
+        unknown = np.full((len(JOINTS), 3), np.nan, np.float32)
+        if self.network == "paper" or joints is None:
+            joints = unknown
+        example = labelled_window(window, view.labels, joints, view.camera)
+        if self.network == "paper":  # learns the background, too
+            example.labels[window.inputs[1] == 0] = 0
+        return example
 
 
 class _SynthWindows(Dataset[LabelledWindow]):
@@ -114,7 +114,7 @@ class _SynthWindows(Dataset[LabelledWindow]):
         self.source, self.first = source, first
         variation = Variation(mirror=0.5) if "variation" in source.without else TRAINING_VARIATION
         self.postures = posture_source(source.postures, "train", source.subset == "easy", variation)
-        self.spoiling = None if "spoiling" in source.without else Spoiling()
+        self.degradations = None if "spoiling" in source.without else Degradations()
 
     def __len__(self) -> int:
         return _ENDLESS
@@ -122,10 +122,10 @@ class _SynthWindows(Dataset[LabelledWindow]):
     def __getitem__(self, index: int) -> LabelledWindow:
         source = self.source
         window = training_window(
-            source.seed, self.first + index, source.subset, self.postures, self.spoiling,
+            source.seed, self.first + index, source.subset, self.postures, self.degradations,
             clothes="clothes" not in source.without, errors="errors" not in source.without,
         )  # fmt: skip
-        return source.as_seen(window)
+        return source.at_resolution(window)
 
 
 class _PaperWindows(Dataset[LabelledWindow]):
@@ -166,7 +166,7 @@ class _FolderWindows(Dataset[LabelledWindow]):
         return _ENDLESS
 
     def __getitem__(self, index: int) -> LabelledWindow:
-        for attempt in range(100):  # a view may be missing or show nobody
+        for attempt in range(100):  # a view may be missing or show no person
             s, i, v = self.index[int(self.order[(self.first + index + 7919 * attempt) % len(self.order)])]
             frames = self.sections[s][i]
             views = frames.views
@@ -187,52 +187,52 @@ class LabelledBatch(NamedTuple):
 
 
 def sorted_batches(windows: Sequence[LabelledWindow], size: int) -> Iterator[LabelledBatch]:
-    """The windows in batches of ``size``, alike windows together; the smaller ones of a batch are widened about their
-    middles, which leaves the places of the joints as they are."""
+    """The windows in batches of ``size``, sorted by their size. Smaller windows of a batch are padded around their
+    middles, which does not change the positions of the joints."""
     order = sorted(range(len(windows)), key=lambda i: windows[i].labels.shape)
     for first in range(0, len(order), size):
         chosen = [windows[i] for i in order[first : first + size]]
-        shape = np.max([each.labels.shape for each in chosen], 0)
-        wide = [widened(each, *shape) for each in chosen]
-        yield LabelledBatch(*(torch.from_numpy(np.stack(each)) for each in zip(*wide, strict=True)))
+        shape = np.max([window.labels.shape for window in chosen], 0)
+        wide = [pad_window(window, *shape) for window in chosen]
+        yield LabelledBatch(*(torch.from_numpy(np.stack(window)) for window in zip(*wide, strict=True)))
 
 
-def widened(window: LabelledWindow, height: int, width: int) -> LabelledWindow:
-    """The window with empty pixels around it."""
+def pad_window(window: LabelledWindow, height: int, width: int) -> LabelledWindow:
+    """The window padded with empty pixels."""
     inputs, labels, joints = window
     rows, columns = (height - labels.shape[0]) // 2, (width - labels.shape[1]) // 2
     if not (rows or columns):
         return window
     around = (rows, rows), (columns, columns)
     # The last channel is the same all over; depth and mask are 0 around the person.
-    wide = np.stack([np.pad(each, around) for each in inputs[:2]] + [np.full((height, width), inputs[2, 0, 0])])
+    wide = np.stack([np.pad(channel, around) for channel in inputs[:2]] + [np.full((height, width), inputs[2, 0, 0])])
     return LabelledWindow(wide, np.pad(labels, around, constant_values=UNLABELLED), joints)
 
 
-def mirrored(window: LabelledWindow) -> LabelledWindow:
-    """The window of the mirror image of the person."""
+def mirror_window(window: LabelledWindow) -> LabelledWindow:
+    """The mirror image of a window."""
     table = np.full(256, UNLABELLED, np.uint8)
     table[: len(regions.MIRROR)] = regions.MIRROR
-    inputs, labels = (np.ascontiguousarray(each[..., ::-1]) for each in (window.inputs, window.labels))
+    inputs, labels = (np.ascontiguousarray(array[..., ::-1]) for array in (window.inputs, window.labels))
     return LabelledWindow(inputs, table[labels], window.joints[skeleton.MIRROR] * np.array([-1, 1, 1], np.float32))
 
 
 def training_batches(
     windows: Iterable[list[LabelledWindow]], size: int, seed: int, mirror: bool = True
 ) -> Iterator[LabelledBatch]:
-    """Batches for our network: every window is shown twice, the second time as a mirror image and much later (unless
-    not ``mirror``); alike windows are together, which spares the network the empty pixels around them."""
+    """Batches for our network. With ``mirror`` each window comes twice, the second time as a mirror image and much
+    later. Windows of similar size are in one batch, which saves empty pixels."""
     rng = np.random.default_rng(seed)
     later: collections.deque[LabelledWindow] = collections.deque()
-    shown: list[LabelledWindow] = []
-    for few in windows:
-        shown += few
-        later += few if mirror else []
-        while len(later) > _APART:
-            shown.append(mirrored(later.popleft()))
-        if len(shown) >= _SORTED * size:
-            batches = list(sorted_batches(shown[: len(shown) // size * size], size))
-            del shown[: len(batches) * size]
+    queue: list[LabelledWindow] = []
+    for chunk in windows:
+        queue += chunk
+        later += chunk if mirror else []
+        while len(later) > _MIRROR_DELAY:
+            queue.append(mirror_window(later.popleft()))
+        if len(queue) >= _SORTED_BATCHES * size:
+            batches = list(sorted_batches(queue[: len(queue) // size * size], size))
+            del queue[: len(batches) * size]
             for i in rng.permutation(len(batches)):
                 yield batches[i]
 

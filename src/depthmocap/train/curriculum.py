@@ -24,13 +24,12 @@ from depthmocap.report.charts import loss_curves
 from depthmocap.report.page import ReportFigure, ReportSection, ReportTable, write_report
 from depthmocap.synth.sample import Subset
 from depthmocap.train.batches import WindowSource
+from depthmocap.train.checkpoints import load_weights
+from depthmocap.train.classifier_settings import ClassifierTraining, Optimiser
 from depthmocap.train.networks import NETWORKS
 from depthmocap.train.train_classifier import (
-    ClassifierTraining,
-    Optimiser,
     check_device,
     evaluate_windows,
-    load_weights,
     train_classifier,
 )
 
@@ -140,13 +139,13 @@ def train_curriculum(settings: CurriculumTraining, console: Console | None = Non
     console = console or Terminal(stderr=True)
     # Where and how fast it runs, and what is added to it, make no other experiment.
     claim_folder(settings.out, settings, "a curriculum", ("out", "workers", "device", "optimisers", "control"))
-    found: dict[str, Any] = {
+    table: dict[str, Any] = {
         "scale": settings.scale, "pictures_an_iteration": PAPER_BATCH, "measure": "mean class accuracy, and of pixels",
         "paper": {stage.name: stage.paper for stage in STAGES}, "optimisers": {},
     }  # fmt: skip
     for optimiser in settings.optimisers:
         measured: dict[str, Any] = {}
-        untrained = _measured(settings, optimiser, None)
+        untrained = _measure(settings, optimiser, None)
         for stage in settings.stages:
             training = settings.training(optimiser, stage)
             if not (training.out / "classifier.onnx").exists():
@@ -157,16 +156,16 @@ def train_curriculum(settings: CurriculumTraining, console: Console | None = Non
                 "iterations_in_the_paper": stage.iterations if stage.name != _CONTROL else None,
                 "learning_rate": training.learning_rate,
                 "start": untrained if stage.start is None else measured[stage.start]["end"],
-                "end": _measured(settings, optimiser, stage),
+                "end": _measure(settings, optimiser, stage),
             }  # fmt: skip
-        found["optimisers"][optimiser] = measured
-        write_json(settings.out / "table.json", found)
-    _print(found, console)
-    _write_report(settings, found)
-    return found
+        table["optimisers"][optimiser] = measured
+        write_json(settings.out / "table.json", table)
+    _print(table, console)
+    _write_report(settings, table)
+    return table
 
 
-def _measured(settings: CurriculumTraining, optimiser: Optimiser, stage: _Stage | None) -> dict[str, dict[str, float]]:
+def _measure(settings: CurriculumTraining, optimiser: Optimiser, stage: _Stage | None) -> dict[str, dict[str, float]]:
     """Accuracies of a stage's network on the validation sets, None for the network before training; kept in a file."""
     name = "untrained" if stage is None else stage.name
     folder = settings.out / optimiser
@@ -179,12 +178,12 @@ def _measured(settings: CurriculumTraining, optimiser: Optimiser, stage: _Stage 
         load_weights(network, settings.training(optimiser, stage).out / "classifier.safetensors")
     check_device(settings.device)
     network.to(settings.device)
-    found = {}
+    accuracies = {}
     for subset in _SUBSETS:
         accuracy, _ = evaluate_windows(network, settings.source(subset).valid(settings.valid_images), settings.device)
-        found[subset] = {"class_accuracy": accuracy.class_accuracy, "pixel_accuracy": accuracy.pixel_accuracy}
-    write_json(path, found)
-    return found
+        accuracies[subset] = {"class_accuracy": accuracy.class_accuracy, "pixel_accuracy": accuracy.pixel_accuracy}
+    write_json(path, accuracies)
+    return accuracies
 
 
 def _cell(start: float | None, end: float | None) -> str:
@@ -219,27 +218,27 @@ def _verdict(measured: dict[str, Any]) -> str:
     )
 
 
-def _scaled(found: dict[str, Any]) -> str:
+def _caption(table: dict[str, Any]) -> str:
     return (
-        f"Mean class accuracy (%) on the validation sets, before → after. Iterations are {found['scale']:g} of the "
+        f"Mean class accuracy (%) on the validation sets, before → after. Iterations are {table['scale']:g} of the "
         "paper's, so that its values are no expectation."
     )
 
 
-def _print(found: dict[str, Any], console: Console) -> None:
-    for optimiser, measured in found["optimisers"].items():
-        table = Table(*_HEADER, title=f"{optimiser}. {_scaled(found)}")
+def _print(table: dict[str, Any], console: Console) -> None:
+    for optimiser, measured in table["optimisers"].items():
+        printed = Table(*_HEADER, title=f"{optimiser}. {_caption(table)}")
         for row in _rows(measured):
-            table.add_row(*row)
-        console.print(table)
+            printed.add_row(*row)
+        console.print(printed)
         console.print(_verdict(measured))
 
 
-def _write_report(settings: CurriculumTraining, found: dict[str, Any]) -> None:
+def _write_report(settings: CurriculumTraining, table: dict[str, Any]) -> None:
     sections = []
-    for optimiser, measured in found["optimisers"].items():
-        rates = {each["learning_rate"] for each in measured.values()}
-        text = f"{_scaled(found)} Learning rate {', '.join(f'{rate:g}' for rate in rates)}, held."
+    for optimiser, measured in table["optimisers"].items():
+        rates = {network["learning_rate"] for network in measured.values()}
+        text = f"{_caption(table)} Learning rate {', '.join(f'{rate:g}' for rate in rates)}, held."
         figures = []
         for names, title in (
             ([stage.name for stage in STAGES[:3]], "The curriculum: every network against its own pictures."),
@@ -251,7 +250,7 @@ def _write_report(settings: CurriculumTraining, found: dict[str, Any]) -> None:
         sections.append(
             ReportSection(
                 f"With {optimiser}",
-                tuple(each for each in (text, _verdict(measured)) if each),
+                tuple(network for network in (text, _verdict(measured)) if network),
                 (ReportTable(_HEADER, _rows(measured)),),
                 figures,
             )
@@ -264,13 +263,13 @@ def _history(settings: CurriculumTraining, optimiser: Optimiser, names: list[str
     rows, before = [], 0
     for stage in (stage for stage in STAGES if stage.name in names):
         path = settings.training(optimiser, stage).out / "history.jsonl"
-        own = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
+        run_rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
         rows += [
             {
                 "step": (before + row["step"]) // PAPER_BATCH, f"{stage.name} loss": row["loss"],
                 f"{stage.name} class accuracy": row["valid_class_accuracy"],
             }
-            for row in own
+            for row in run_rows
         ]  # fmt: skip
         before += settings.iterations(stage) * PAPER_BATCH
     return rows

@@ -11,7 +11,7 @@ from depthmocap.classify.window import DEPTH_SCALE_M, PIXEL_M, WINDOW, WINDOW_ST
 from depthmocap.train.paper_network import PaperNet
 
 CLASSES = REGION_COUNT + 1
-#: Offsets of joints are told in units of so many metres.
+#: Unit of the joints' offsets, metres.
 _UNIT_M = 0.3
 
 
@@ -34,7 +34,7 @@ class _Groups(nn.Module):
         return torch.stack([x[:, :, i::2, j::2] for i in (0, 1) for j in (0, 1)], 2).flatten(1, 2)
 
 
-def _twice(x: Tensor) -> Tensor:
+def _upsample(x: Tensor) -> Tensor:
     """Every pixel four times: an enlargement by two. Exported, copying rows takes a tenth of the time of ``Resize``."""
     _, channels, height, width = x.shape
     x = x.permute(0, 2, 3, 1)
@@ -42,7 +42,7 @@ def _twice(x: Tensor) -> Tensor:
     return torch.cat([x, x], 2).reshape(-1, 2 * height, 2 * width, channels).permute(0, 3, 1, 2)
 
 
-def _groups_shown(x: Tensor) -> Tensor:
+def _person_groups(x: Tensor) -> Tensor:
     """Numbers of the 2×2 groups of pixels that show some of the person, window after window in row-major order."""
     return nn.functional.max_pool2d(x[:, 1:2], 2).flatten().nonzero()[:, 0]
 
@@ -62,13 +62,13 @@ class FastNet(nn.Module):
 
     ``forward`` gives the probabilities ``(m, 4, 44)`` of the classes in those 2×2 groups of pixels that show some of
     the person, window after window in row-major order: pixel ``k`` of a group is at its row ``k // 2``, column
-    ``k % 2``. A person fills a quarter of a window, and nothing is made for the rest. And it gives the joints
-    ``(n, 18, 4)``: their places in the window (see ``Window.positions_from_world``) and the logarithm of the error to
-    expect, both of metres.
+    ``k % 2``. A person fills a quarter of a window, and the rest is not computed. It also gives the joints
+    ``(n, 18, 4)``: their positions in the window (``Window.positions_from_world``) and the logarithm of the expected
+    error, both of metres.
 
-    For the joints every cell of 8×8 pixels that shows some of the person votes: it tells where it takes each joint to
-    be, relative to its own surface, how much it has to say and how wrong it may be (as the anchors of Xiong et al.,
-    "A2J", ICCV 2019).
+    For the joints each cell of 8×8 pixels that shows some of the person votes: it predicts the offset of each joint
+    from its own surface, the weight of its vote and the expected error (as the anchors of Xiong et al., "A2J", ICCV
+    2019).
     """
 
     input_shape = (3, WINDOW, WINDOW)
@@ -76,8 +76,8 @@ class FastNet(nn.Module):
     size_step: int | None = WINDOW_STEP
     #: Only the person's pixels are learnt.
     learns_background = False
-    #: The second output is where the joints are.
-    tells_joints = True
+    #: The second output holds the joints.
+    predicts_joints = True
 
     def __init__(
         self,
@@ -107,7 +107,7 @@ class FastNet(nn.Module):
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         fine, coarse = self.features(x)
-        return torch.softmax(self.group_logits(fine, _groups_shown(x)), -1), self.joints(x, coarse)
+        return torch.softmax(self.group_logits(fine, _person_groups(x)), -1), self.joints(x, coarse)
 
     def group_logits(self, fine: Tensor, groups: Tensor) -> Tensor:
         """Logits (m, 4, 44) of some groups of pixels, numbered window after window in row-major order."""
@@ -115,7 +115,7 @@ class FastNet(nn.Module):
         return nn.functional.linear(rows, self.head.weight.flatten(1), self.head.bias).unflatten(1, (4, CLASSES))
 
     def features(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """What the head reads, ``(n, c, h/2, w/2)``, and what the joints are read from, ``(n, c, h/8, w/8)``."""
+        """Features of the head, ``(n, c, h/2, w/2)``, and of the joints, ``(n, c, h/8, w/8)``."""
         x = self.stem(x)
         skips = [x]
         for level in self.down:
@@ -123,7 +123,7 @@ class FastNet(nn.Module):
         x = skips.pop()
         coarse = x
         for i in reversed(range(len(self.lateral))):
-            x = _twice(self.lateral[i](x)) + skips[i]
+            x = _upsample(self.lateral[i](x)) + skips[i]
             x = self.up[i](x)
             if i == _CELLS:
                 coarse = x
@@ -164,10 +164,10 @@ def _by_squares(images: Tensor, side: int) -> Tensor:
 
 
 def masked_outputs(network: Network, x: Tensor, labels: Tensor, mask: Tensor) -> tuple[Tensor, Tensor, Tensor | None]:
-    """Logits (m, 44) and labels (m,) of the masked pixels alone, and the joints (n, 18, 4) of a network that tells
+    """Logits (m, 44) and labels (m,) of the masked pixels alone, and the joints (n, 18, 4) of a network that predicts
     them.
 
-    Ours never makes its head's output for the rest: a person fills a quarter of a window. The paper's makes them all,
+    Our head computes no other pixels: a person fills a quarter of a window. The paper's network computes all of them,
     square after square.
 
     Args:
@@ -176,12 +176,12 @@ def masked_outputs(network: Network, x: Tensor, labels: Tensor, mask: Tensor) ->
         mask: (n, h, w) bool.
     """
     if isinstance(network, PaperNet):
-        mask, labels = (_by_squares(each, network.up1.stride[0]).flatten() for each in (mask.to(torch.uint8), labels))
+        mask, labels = (_by_squares(image, network.up1.stride[0]).flatten() for image in (mask.to(torch.uint8), labels))
         pixels = mask.nonzero()[:, 0]
         return network.squares(x).flatten(0, 3).index_select(0, pixels), labels.index_select(0, pixels), None
     fine, coarse = network.features(x)
     mask4, labels4 = _by_squares(mask.to(torch.uint8), 2), _by_squares(labels, 2)
     groups = mask4.any(1).nonzero()[:, 0]
     pixels = mask4[groups].flatten().nonzero()[:, 0]
-    chosen = network.group_logits(fine, groups).flatten(0, 1).index_select(0, pixels)
-    return chosen, labels4[groups].flatten()[pixels], network.joints(x, coarse)
+    logits = network.group_logits(fine, groups).flatten(0, 1).index_select(0, pixels)
+    return logits, labels4[groups].flatten()[pixels], network.joints(x, coarse)

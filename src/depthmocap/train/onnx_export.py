@@ -35,7 +35,7 @@ def export_onnx(network: Network, path: Path, metadata: dict[str, str]) -> Path:
 
     network = copy.deepcopy(network).cpu().eval()
     example = torch.zeros(2, *network.input_shape)
-    outputs = ["probabilities", "joints"] if network.tells_joints else ["logits"]
+    outputs = ["probabilities", "joints"] if network.predicts_joints else ["logits"]
     sizes: dict[int, Any] = {0: torch.export.Dim("n", min=1)}
     if network.size_step is not None:
         # As multiples of a number the exporter knows that what was halved and doubled fits again.

@@ -23,7 +23,7 @@ class PaperNet(nn.Module):
     size_step: int | None = None
     #: The empty pixels around the person are learnt too, as background.
     learns_background = True
-    tells_joints = False
+    predicts_joints = False
 
     def __init__(self) -> None:
         super().__init__()
@@ -50,8 +50,8 @@ class PaperNet(nn.Module):
         """The same scores by squares of 7×7 pixels: (n, 36, 36, 49, 44), windows padded at the right and at the bottom
         to 252 pixels.
 
-        A convolution makes every square at once, which in half precision trains in half the time: the transposed one
-        is most of the network's work, and badly served by processors.
+        One convolution computes all squares, which in half precision trains in half the time: the transposed
+        convolution is most of the network's work, and slow on processors.
         """
         kernel, side = self.up1.kernel_size[0], self.up1.stride[0]
         reach = -(-kernel // side)
@@ -63,7 +63,7 @@ class PaperNet(nn.Module):
         return scores.permute(0, 2, 3, 1).unflatten(3, (side**2, _CLASSES))
 
     def _middle(self, x: Tensor) -> Tensor:
-        """What the last layer enlarges."""
+        """Input of the last layer."""
         pool1 = nn.functional.max_pool2d(torch.relu(self.conv1(x[:, :1])), 3, 3, ceil_mode=True)
         pool2 = nn.functional.max_pool2d(torch.relu(self.conv2(pool1)), 2, 2, ceil_mode=True)
         coarse = self.up3(self.conv4(torch.relu(self.conv3(pool2))))

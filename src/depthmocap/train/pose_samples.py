@@ -1,5 +1,8 @@
-"""Samples that the pose stage learns from: what cameras saw of each region, and the true joints. Kept on disk, so that
-collecting, which is most of the work, can be stopped and resumed, and every estimator learns from the same samples."""
+"""Training samples of the pose stage: what each camera sees of each region, and the true joints.
+
+They are stored on disk, so that collecting, which is most of the work, can be stopped and resumed, and all estimators
+learn from the same samples.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,6 @@ import dataclasses
 import itertools
 from collections.abc import Generator, Sequence
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Float32, Int
@@ -26,19 +28,21 @@ from depthmocap.pose.cloud import merge_views
 from depthmocap.pose.features import FEATURE_COUNT, FeatureFrame, cloud_features
 from depthmocap.pose.labelled_view import LABELS, LabelledView, Labels, label_people
 from depthmocap.pose.parts import PART_COLUMNS, PART_COUNT, part_statistics
-from depthmocap.synth.sample import ANY_SENSOR, CameraRange, Recipe, Sample
+from depthmocap.synth.sample import ANY_SENSOR, CameraRange, Recipe, Sample, Subset
 from depthmocap.synth.writing.stream import stream
+from depthmocap.train.windows import default_subset
 
-#: Of varied samples so many are cut off, and cameras stand nearer, higher and more askew.
+#: Share of varied samples in which a part of the person is hidden.
 _CUT = 0.3
+#: Camera positions of varied samples: nearer, higher and with more roll.
 _PLACES = CameraRange(distance_m=(0.8, 4.5), height_m=(0.1, 3.0), roll_rad=0.1, truncated=0.08)
-#: Samples a file.
+#: Samples per file.
 _CHUNK = 100
 
 
 @dataclasses.dataclass(frozen=True)
-class PoseSamples:
-    """Which samples.
+class PoseSampleSettings:
+    """Settings of the samples.
 
     Attributes:
         data: "synth" makes samples; a folder is read as a UBC3V root (its <subset>-pose/train).
@@ -56,7 +60,7 @@ class PoseSamples:
     data: str = "synth"
     weights: Path | None = None
     postures: Path | None = None
-    subset: Literal["easy", "inter", "hard", "open"] | None = None
+    subset: Subset | None = None
     samples: int = 6000
     views: tuple[int, ...] = (1, 2, 3, 4)
     vary: bool = True
@@ -65,16 +69,23 @@ class PoseSamples:
     workers: int = 1
 
     @property
-    def people(self) -> Literal["easy", "inter", "hard", "open"]:
+    def people(self) -> Subset:
         """The subset, its default resolved."""
-        return self.subset or ("open" if self.data == "synth" else "hard")
+        return self.subset or default_subset(self.data)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Collected:
-    """Samples in arrays. ``parts`` by kind of labels (see ``parts.part_statistics``; cameras that a sample lacks saw
-    nothing), joints in the world and the groups (clips) of the postures; ``features`` are the paper's, their joints
-    in the features' frame and their groups by kind of labels and number of cameras."""
+class CollectedSamples:
+    """Samples as arrays.
+
+    Attributes:
+        parts: by kind of labels, statistics of each part in each view (``parts.part_statistics``); 0 for the cameras
+            that a sample lacks.
+        joints: true joints in the world, metres.
+        groups: group (clip) of each posture.
+        features: by kind of labels and number of cameras: the paper's features, the joints in the features' frame, and
+            the groups.
+    """
 
     parts: dict[Labels, Float32[ndarray, "n views 61 16"]]
     joints: Float[ndarray, "n 18 3"]
@@ -82,7 +93,7 @@ class Collected:
     features: dict[tuple[Labels, int], tuple[ndarray, ndarray, ndarray]]
 
 
-def collect(settings: PoseSamples, folder: Path, console: Console | None = None) -> Collected:
+def collect(settings: PoseSampleSettings, folder: Path, console: Console | None = None) -> CollectedSamples:
     """Make the samples, or what is missing of them in ``folder``, and read them all.
 
     Raises:
@@ -91,7 +102,7 @@ def collect(settings: PoseSamples, folder: Path, console: Console | None = None)
     check_seed(settings.seed)
     if not settings.views or min(settings.views) < 1 or settings.samples < 1:
         raise InputError("--samples and every number of --views must be at least 1")
-    # What has no say in the samples may differ when they are resumed.
+    # Settings that do not change the samples may differ when collecting is resumed.
     claim_folder(folder, settings, "samples", ("samples", "workers"))
 
     files = [folder / f"{first:06d}.npz" for first in range(0, settings.samples, _CHUNK)]
@@ -113,8 +124,8 @@ def collect(settings: PoseSamples, folder: Path, console: Console | None = None)
     return _read([file for file in files if file.exists()], settings)
 
 
-def read_samples(folder: Path, settings: PoseSamples) -> Collected:
-    """What was collected in a folder; of the settings only the views matter.
+def read_samples(folder: Path, settings: PoseSampleSettings) -> CollectedSamples:
+    """Read the collected samples of a folder; of the settings only the views matter.
 
     Raises:
         InputError: when the folder holds no samples, or none of so many views.
@@ -122,24 +133,24 @@ def read_samples(folder: Path, settings: PoseSamples) -> Collected:
     return _read(sorted(folder.glob("[0-9]*.npz")), settings)
 
 
-def with_parts_of(samples: Collected, others: Sequence[Collected]) -> Collected:
-    """Samples with those of others behind them, as the voting network learns from; the paper's features are the first
-    ones' alone. Where some have more cameras, the others' lack what those saw."""
-    every = [samples, *others]
-    views = max(each.parts[LABELS[0]].shape[1] for each in every)
+def append_parts(samples: CollectedSamples, others: Sequence[CollectedSamples]) -> CollectedSamples:
+    """Samples with the parts and joints of others appended, for the voting network. The paper's features remain those
+    of the first samples. Samples with fewer cameras are padded with cameras that see nothing."""
+    collections = [samples, *others]
+    views = max(part.parts[LABELS[0]].shape[1] for part in collections)
 
     def padded(parts: ndarray) -> ndarray:
         return np.pad(parts, ((0, 0), (0, views - parts.shape[1]), (0, 0), (0, 0)))
 
     return dataclasses.replace(
         samples,
-        parts={labels: np.concatenate([padded(each.parts[labels]) for each in every]) for labels in LABELS},
-        joints=np.concatenate([each.joints for each in every]),
-        groups=np.concatenate([each.groups for each in every]),
+        parts={labels: np.concatenate([padded(part.parts[labels]) for part in collections]) for labels in LABELS},
+        joints=np.concatenate([part.joints for part in collections]),
+        groups=np.concatenate([part.groups for part in collections]),
     )
 
 
-def _samples(settings: PoseSamples, first: int) -> Generator[Sample, None, None]:
+def _samples(settings: PoseSampleSettings, first: int) -> Generator[Sample, None, None]:
     if settings.data == "synth":
         recipe = Recipe(
             settings.people, "train", max(settings.views), settings.postures, vary=settings.vary,
@@ -160,8 +171,8 @@ def _samples(settings: PoseSamples, first: int) -> Generator[Sample, None, None]
 
 
 def label_sample(views: tuple[View, ...], classifier: Classifier | None) -> list[LabelledView] | None:
-    """Views with the network's labels on the person's mask, or without a network their true ones; None where a view has
-    none."""
+    """Views with the network's labels on the person's mask; without a network with the true labels, None where a view
+    has none."""
     if classifier is not None:
         return label_people(views, classifier, "z")
     parts: list[LabelledView] = []
@@ -173,7 +184,7 @@ def label_sample(views: tuple[View, ...], classifier: Classifier | None) -> list
 
 
 def _measure(
-    sample: Sample, settings: PoseSamples, classifier: Classifier, rng: np.random.Generator
+    sample: Sample, settings: PoseSampleSettings, classifier: Classifier, rng: np.random.Generator
 ) -> dict[str, ndarray]:
     row: dict[str, ndarray] = {"joints": sample.joints, "groups": np.array(sample.group)}
     chosen = {count: _choices(len(sample.views), count, rng) for count in settings.views}
@@ -181,17 +192,17 @@ def _measure(
         views = label_sample(sample.views, classifier if labels == "network" else None)
         parts = np.zeros((max(settings.views), PART_COUNT, PART_COLUMNS), np.float32)
         if views is not None:
-            seen = part_statistics(merge_views(views))[: len(parts)]
-            parts[: len(seen)] = seen
+            statistics = part_statistics(merge_views(views))[: len(parts)]
+            parts[: len(statistics)] = statistics
         row[f"parts {labels}"] = parts
         for count, choices in chosen.items():
             features = []
             for choice in choices:
                 if views is None:
                     break
-                found = cloud_features(merge_views([views[i] for i in choice]), "z", settings.frame)
-                if np.isfinite(found.values).any():
-                    features.append((found.values, found.from_world(sample.joints).astype(np.float32)))
+                feature = cloud_features(merge_views([views[i] for i in choice]), "z", settings.frame)
+                if np.isfinite(feature.values).any():
+                    features.append((feature.values, feature.from_world(sample.joints).astype(np.float32)))
             key = f"{labels} {count}"
             row[f"features {key}"] = np.array([f for f, _ in features], np.float32).reshape(-1, FEATURE_COUNT)
             row[f"targets {key}"] = np.array([t for _, t in features], np.float32).reshape(-1, 18, 3)
@@ -199,11 +210,11 @@ def _measure(
     return row
 
 
-def _choices(available: int, wanted: int, rng: np.random.Generator) -> list[tuple[int, ...]]:
-    """Which views to take: up to two random choices of so many, so that one sample teaches several placements."""
-    if wanted > available:
+def _choices(available: int, count: int, rng: np.random.Generator) -> list[tuple[int, ...]]:
+    """Up to two random combinations of ``count`` views, so that one sample teaches several placements."""
+    if count > available:
         return []
-    draws = {tuple(sorted(rng.choice(available, wanted, replace=False).tolist())) for _ in range(2)}
+    draws = {tuple(sorted(rng.choice(available, count, replace=False).tolist())) for _ in range(2)}
     return sorted(draws)
 
 
@@ -217,19 +228,19 @@ def _stack(rows: list[dict[str, ndarray]]) -> dict[str, ndarray]:
     return {name: join[name]([row[name] for row in rows]) for name in rows[0]}
 
 
-def _read(files: list[Path], settings: PoseSamples) -> Collected:
-    wanted = {"joints": ArrayType("n 18 3", "f"), "groups": ArrayType("n", "iu")}
+def _read(files: list[Path], settings: PoseSampleSettings) -> CollectedSamples:
+    types = {"joints": ArrayType("n 18 3", "f"), "groups": ArrayType("n", "iu")}
     for labels in LABELS:
-        wanted[f"parts {labels}"] = ArrayType(f"n v {PART_COUNT} {PART_COLUMNS}", "f")
+        types[f"parts {labels}"] = ArrayType(f"n v {PART_COUNT} {PART_COLUMNS}", "f")
         for count in settings.views:
             key = f"{labels} {count}"
-            wanted[f"features {key}"] = ArrayType(f"{labels}{count} {FEATURE_COUNT}", "f")
-            wanted[f"targets {key}"] = ArrayType(f"{labels}{count} 18 3", "f")
-            wanted[f"members {key}"] = ArrayType(f"{labels}{count}", "iu")
+            types[f"features {key}"] = ArrayType(f"{labels}{count} {FEATURE_COUNT}", "f")
+            types[f"targets {key}"] = ArrayType(f"{labels}{count} 18 3", "f")
+            types[f"members {key}"] = ArrayType(f"{labels}{count}", "iu")
     chunks = []
     for file in files:
         try:
-            chunks.append(read_npz(file, wanted))
+            chunks.append(read_npz(file, types))
         except InputError as error:
             what = "remove it, and it is made again, or give the --views that it has"
             views = list(settings.views)
@@ -238,16 +249,16 @@ def _read(files: list[Path], settings: PoseSamples) -> Collected:
         raise InputError("no samples with joints: give a folder that train pose collected, or data that has joints")
     if len({chunk[f"parts {LABELS[0]}"].shape[1] for chunk in chunks}) > 1:
         raise InputError(f"{files[0].parent} holds samples of different numbers of cameras: collect them anew")
-    all_of = {name: np.concatenate([chunk[name] for chunk in chunks]) for name in chunks[0]}
-    return Collected(
-        {labels: all_of[f"parts {labels}"] for labels in LABELS},
-        all_of["joints"],
-        all_of["groups"],
+    arrays = {name: np.concatenate([chunk[name] for chunk in chunks]) for name in chunks[0]}
+    return CollectedSamples(
+        {labels: arrays[f"parts {labels}"] for labels in LABELS},
+        arrays["joints"],
+        arrays["groups"],
         {
             (labels, count): (
-                all_of[f"features {labels} {count}"],
-                all_of[f"targets {labels} {count}"],
-                all_of[f"members {labels} {count}"],
+                arrays[f"features {labels} {count}"],
+                arrays[f"targets {labels} {count}"],
+                arrays[f"members {labels} {count}"],
             )
             for labels in LABELS
             for count in settings.views

@@ -16,22 +16,22 @@ from depthmocap.core.output import atomic_write
 if TYPE_CHECKING:
     import onnx
 
-#: What is made in 8 bits. The head is not: it is small, since only the person's pixels have one.
+#: Operations in 8 bits. The head is not among them: it is small, since only the person's pixels have one.
 _KINDS = ["Conv", "Relu", "Add", "Concat", "Reshape", "Transpose", "Gather"]
 
 
-def _telling_joints(model: onnx.ModelProto) -> list[str]:
-    """Names of the nodes that serve the joints alone, without the large convolutions."""
+def _joint_nodes(model: onnx.ModelProto) -> list[str]:
+    """Names of the nodes that only the joints need, without the large convolutions."""
     makers = {name: node for node in model.graph.node for name in node.output}
 
     def behind(output: str) -> dict[str, onnx.NodeProto]:
-        found, open_names = {}, [output]
+        nodes, open_names = {}, [output]
         while open_names:
             node = makers.get(open_names.pop())
-            if node is not None and node.name not in found:
-                found[node.name] = node
+            if node is not None and node.name not in nodes:
+                nodes[node.name] = node
                 open_names += node.input
-        return found
+        return nodes
 
     kernels = {tensor.name: list(tensor.dims)[2:] for tensor in model.graph.initializer}
     labels = behind("probabilities")
@@ -45,8 +45,8 @@ def _telling_joints(model: onnx.ModelProto) -> list[str]:
 def quantise(source: Path, windows: Sequence[Float32[ndarray, "3 _ _"]], path: Path) -> Path:
     """Write an ONNX classifier of ours with the convolutions of ``source`` in 8 bits.
 
-    How the joints are told stays as it is but for convolutions of more than one pixel: places want more than 8 bits.
-    Ranges of activations are those seen on ``windows``, from training data. Weights are scaled channel by channel and
+    The joints' part stays in float except for convolutions of more than one pixel: positions need more than 8 bits.
+    Ranges of activations are those on ``windows``, from training data. Weights are scaled channel by channel and
     use 7 of their 8 bits, because older processors' sums overflow otherwise; inputs, outputs and metadata stay as they
     are.
     """
@@ -76,7 +76,7 @@ def quantise(source: Path, windows: Sequence[Float32[ndarray, "3 _ _"]], path: P
             quantize_static(
                 plain, integer, Windows(), quant_format=QuantFormat.QDQ, per_channel=True, reduce_range=True,
                 activation_type=QuantType.QUInt8, weight_type=QuantType.QInt8,
-                op_types_to_quantize=_KINDS, nodes_to_exclude=_telling_joints(onnx.load(plain)),
+                op_types_to_quantize=_KINDS, nodes_to_exclude=_joint_nodes(onnx.load(plain)),
             )  # fmt: skip
         finally:
             logging.disable(logging.NOTSET)

@@ -17,7 +17,7 @@ from depthmocap.core.settings import check_above_0, plain_settings
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.pose.labelled_view import LABELS, Labels
 from depthmocap.pose.ridge import RidgeBank, fit_ridge
-from depthmocap.train.pose_samples import Collected, PoseSamples, collect, read_samples, with_parts_of
+from depthmocap.train.pose_samples import CollectedSamples, PoseSampleSettings, append_parts, collect, read_samples
 
 #: Bound of standardised features of network labels, in deviations. Mislabelled specks move a region's minimum and
 #: maximum: with one view it took a tenth off the mean error, with three it changed nothing. True labels have no specks.
@@ -45,7 +45,7 @@ class PoseTraining:
     """
 
     out: Path
-    source: tyro.conf.OmitArgPrefixes[PoseSamples] = dataclasses.field(default_factory=PoseSamples)
+    source: tyro.conf.OmitArgPrefixes[PoseSampleSettings] = dataclasses.field(default_factory=PoseSampleSettings)
     estimators: Estimators = "all"
     minutes: float = 15.0
     learning_rate: float = 1.5e-3
@@ -85,16 +85,18 @@ def train_pose(settings: PoseTraining, console: Console | None = None) -> list[P
         training = VotesTraining(
             settings.minutes, settings.learning_rate, start=settings.start, bfloat16=settings.bfloat16
         )
-        samples = with_parts_of(samples, [read_samples(folder, PoseSamples(views=())) for folder in settings.earlier])
+        samples = append_parts(
+            samples, [read_samples(folder, PoseSampleSettings(views=())) for folder in settings.earlier]
+        )
         written.append(train_votes(samples, training, settings.source.seed, settings.out, console))
     return written
 
 
-def _has(samples: Collected, labels: Labels) -> bool:
+def _has(samples: CollectedSamples, labels: Labels) -> bool:
     return bool(samples.parts[labels].any())
 
 
-def fit_bank(samples: Collected, labels: Labels, settings: PoseTraining, console: Console) -> Path:
+def fit_bank(samples: CollectedSamples, labels: Labels, settings: PoseTraining, console: Console) -> Path:
     """One ridge regressor per number of views, as ridge_network.npz or ridge_true.npz."""
     models = []
     for count in settings.source.views:

@@ -1,4 +1,4 @@
-"""Train the network by which regions vote for joints (extra: train)."""
+"""Train the voting network of the pose stage: body regions vote for joints (extra: train)."""
 
 from __future__ import annotations
 
@@ -44,28 +44,35 @@ from depthmocap.pose.parts import (
     yaw_matrix,
 )
 from depthmocap.pose.ridge import grouped_folds
-from depthmocap.train.pose_samples import Collected
+from depthmocap.train.checkpoints import load_weights
+from depthmocap.train.pose_samples import CollectedSamples
 from depthmocap.train.precision import in_bfloat16
-from depthmocap.train.train_classifier import load_weights
 from depthmocap.train.votes_network import VotesNet
 
-#: A joint is right within this (metres), as the paper counts: what the confidence foretells.
+#: A joint within this distance (metres) of the true one is correct, as in the paper; the confidence predicts it.
 RIGHT_M = 0.1
+#: Samples per step.
 _BATCH = 64
-#: What is kept is an average of the weights over about 1 / (1 - this) steps, once so many steps are done.
-_AVERAGE, _AVERAGE_AFTER = 0.998, 1000
-#: Share of samples that learn from true labels, so that one network serves both.
+#: The exported weights are an exponential average with this decay per step.
+_AVERAGE_DECAY = 0.998
+#: Averaging starts after this many steps.
+_AVERAGE_AFTER = 1000
+#: The learning rate rises over this many steps.
+_WARM_UP_STEPS = 200
+#: Weight of the confidence's cross-entropy against the distance in metres.
+_CONFIDENCE_WEIGHT = 0.02
+#: Share of samples with true labels, so that one network serves both kinds of labels.
 _TRUE_LABELS = 0.15
-#: Share of the others whose cameras tell no joints.
+#: Share of samples without the classifier's joints.
 _NO_JOINTS = 0.08
-#: Share of samples that are tilted as a whole, cameras and all, on top of what their bodies are.
+#: Share of samples that are tilted as a whole, cameras included, in addition to the tilt of their postures.
 _TILTED = 0.1
-#: Share of samples in which cameras stand a little elsewhere than they say.
+#: Share of samples with errors of the extrinsics.
 _MISPLACED = 0.5
-#: Share of a sample's cameras that take the arms, the legs or all of the body for those of the other side, besides
-#: those that do; where another camera can tell.
-_EXCHANGED = ((ARMS, 0.04), (LEGS, 0.02), (ARMS | True, 0.01))
-#: One in so many groups of postures is kept out, to tell how the training goes.
+#: Parts and share of a sample's cameras in which left and right of these parts are swapped, in addition to the
+#: classifier's own swaps; only where there are several cameras.
+_SWAPPED = ((ARMS, 0.04), (LEGS, 0.02), (ARMS | True, 0.01))
+#: One in this many groups of postures is used for validation.
 _VALID_FOLDS = 20
 
 
@@ -91,8 +98,8 @@ class VotesTraining:
 def augment(
     rng: np.random.Generator, parts: Float32[ndarray, "n v 61 16"], joints: Float[ndarray, "n 18 3"]
 ) -> tuple[Float32[ndarray, "n v 61 16"], Float[ndarray, "n 18 3"]]:
-    """The same samples mirrored, seen by fewer cameras, by misplaced ones, by such as mistake sides, with regions
-    missing. Samples keep at least one camera that sees something."""
+    """Augment samples: mirror images, fewer cameras, errors of the extrinsics, swapped sides, missing regions. At least
+    one camera that sees something is left in each sample."""
     n, views = parts.shape[:2]
     mirror = rng.random(n) < 0.5
     parts, joints = parts.copy(), joints.copy()
@@ -101,34 +108,34 @@ def augment(
     parts[mirror] = flipped
     joints[mirror] = joints[mirror][:, MIRRORED_JOINTS] * [1, -1, 1]
 
-    sees = (parts[..., 0] > 0).any(-1)
-    order = np.where(sees, rng.random((n, views)), 2).argsort(1)
-    keep = 1 + (rng.random(n) * sees.sum(1).clip(1)).astype(np.int64)
+    has_view = (parts[..., 0] > 0).any(-1)
+    order = np.where(has_view, rng.random((n, views)), 2).argsort(1)
+    keep = 1 + (rng.random(n) * has_view.sum(1).clip(1)).astype(np.int64)
     dropped = order.argsort(1) >= keep[:, None]
-    # Some classifiers, and true labels, tell no joints.
+    # Some classifiers, and true labels, give no joints.
     parts[rng.random(n) < _NO_JOINTS, :, REGION_COUNT:] = 0
     missing = rng.random(parts.shape[:3]) < rng.choice([0.0, 0.0, 0.05, 0.15], (n, 1, 1))
     parts[dropped[:, :, None] | missing] = 0
 
     several = (parts[..., 0] > 0).any(-1).sum(1) > 1
-    for limb, share in _EXCHANGED:
-        exchanged = several[:, None] & (rng.random((n, views)) < share)
-        parts = np.where((exchanged[..., None] & limb)[..., None], parts[:, :, MIRRORED], parts)
+    for limb, share in _SWAPPED:
+        swapped = several[:, None] & (rng.random((n, views)) < share)
+        parts = np.where((swapped[..., None] & limb)[..., None], parts[:, :, MIRRORED], parts)
 
-    off = (rng.random(n) < _MISPLACED)[:, None]
-    angle = rng.normal(0, 0.008, (n, views)) * off
+    misplaced = (rng.random(n) < _MISPLACED)[:, None]
+    angle = rng.normal(0, 0.008, (n, views)) * misplaced
     middle = joints.mean(1)
     turn = yaw_matrix(np.cos(angle), np.sin(angle))
-    shift = rng.normal(0, 0.012, (n, views, 3)) * off[..., None]
+    shift = rng.normal(0, 0.012, (n, views, 3)) * misplaced[..., None]
     shift += middle[:, None] - np.einsum("nvij,nj->nvi", turn, middle)
     return transform_parts(parts, turn, shift), joints
 
 
-def tilted(
+def tilt(
     rng: np.random.Generator, parts: Float32[ndarray, "n v 61 16"], joints: Float[ndarray, "n 18 3"]
 ) -> tuple[Float32[ndarray, "n v 61 16"], Float[ndarray, "n 18 3"]]:
-    """The same samples, some of them tilted by any angle to any side: people who lie or stand on their hands are rare,
-    and what cameras see of a region is the same however it hangs. Heights stay about what they were."""
+    """Tilt a share of the samples by any angle to any side, since people who lie or stand on their hands are rare in
+    recordings. The appearance of a region does not depend on its direction. Heights change little."""
     chosen = rng.random(len(parts)) < _TILTED
     n, views = int(chosen.sum()), parts.shape[1]
     side, cosine = rng.uniform(-np.pi, np.pi, n), rng.uniform(-1, 1, n)
@@ -143,8 +150,8 @@ def tilted(
     return parts, joints
 
 
-def _shaken(rng: np.random.Generator, frame: BodyFrame) -> BodyFrame:
-    """The body's frame, found a little wrong."""
+def _perturb_frame(rng: np.random.Generator, frame: BodyFrame) -> BodyFrame:
+    """The body's frame with random errors of its position and heading."""
     n = len(frame.origin)
     angle = np.where(rng.random(n) < 0.03, rng.uniform(-np.pi, np.pi, n), rng.normal(0, 0.12, n))
     turn = yaw_matrix(np.cos(angle), np.sin(angle)) @ frame.rotation
@@ -152,30 +159,25 @@ def _shaken(rng: np.random.Generator, frame: BodyFrame) -> BodyFrame:
 
 
 def _errors(network: nn.Module, parts: ndarray, joints: ndarray) -> ndarray:
-    """(n, 18) errors in metres, nothing augmented."""
+    """(n, 18) errors in metres, without augmentation."""
     out = []
     with torch.no_grad():
         for i in range(0, len(parts), 512):
             part = parts[i : i + 512]
             frame = body_frame(part)
-            found, _ = network(torch.from_numpy(network_inputs(part, frame)[0]))
-            out.append(np.linalg.norm(found.numpy() - frame.from_world(joints[i : i + 512]), axis=-1))
+            estimates, _ = network(torch.from_numpy(network_inputs(part, frame)[0]))
+            out.append(np.linalg.norm(estimates.numpy() - frame.from_world(joints[i : i + 512]), axis=-1))
     return np.concatenate(out)
 
 
-def _best(average: AveragedModel, network: VotesNet) -> nn.Module:
-    """The averaged network, or the network itself before anything was averaged."""
-    return average.module if average.n_averaged > 0 else network
-
-
-def _usual(parts: ndarray, joints: ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """What ``VotesNet.start_from`` asks for, of at most 2,000 samples with all their cameras."""
+def _mean_votes(parts: ndarray, joints: ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """The arguments of ``VotesNet.start_from``, from at most 2,000 samples with all their cameras."""
     parts, joints = parts[:2000], joints[:2000]
     frame = body_frame(parts)
-    x, seen = network_inputs(parts, frame)
+    x, visible = network_inputs(parts, frame)
     y = frame.from_world(joints).astype(np.float32)
-    views = seen.sum(1)
-    centre = np.einsum("nvr,nvrc->nrc", seen.astype(np.float32), x[..., CENTRE]) / np.maximum(views, 1)[..., None]
+    views = visible.sum(1)
+    centre = np.einsum("nvr,nvrc->nrc", visible.astype(np.float32), x[..., CENTRE]) / np.maximum(views, 1)[..., None]
     offsets = np.where((views > 0)[..., None, None], y[:, None] - centre[:, :, None], np.nan)
     rows = offsets.reshape(len(offsets), -1)
     known = np.isfinite(rows)
@@ -185,78 +187,111 @@ def _usual(parts: ndarray, joints: ndarray) -> tuple[torch.Tensor, torch.Tensor,
     # A region that no sample shows gets little weight.
     variance = np.where(known.any(0), variance, 1).reshape(*offsets.shape[1:]).sum(-1)
     mean = mean.reshape(offsets.shape[1:])
-    offset, variance, place = (torch.from_numpy(np.asarray(each, np.float32)) for each in (mean, variance, y.mean(0)))
+    offset, variance, place = (torch.from_numpy(np.asarray(array, np.float32)) for array in (mean, variance, y.mean(0)))
     return offset, variance, place
 
 
-def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Path, console: Console) -> Path:
+class _Data:
+    """CollectedSamples samples, split by groups of postures into training and validation."""
+
+    def __init__(self, samples: CollectedSamples, seed: int) -> None:
+        self._samples, self._rng = samples, np.random.default_rng([seed, 11])
+        self._labels: list[Labels] = [k for k in LABELS if samples.parts[k][..., 0].any()]
+        complete = np.all([samples.parts[k][..., 0].any((-1, -2)) for k in self._labels], axis=0)
+        held_out = grouped_folds(samples.groups, _VALID_FOLDS) == 0
+        self.train, self.valid = np.flatnonzero(complete & ~held_out), np.flatnonzero(complete & held_out)
+
+    def rows(self, rows: ndarray) -> tuple[ndarray, ndarray]:
+        """Parts of the first kind of labels, and joints, without augmentation."""
+        return self._samples.parts[self._labels[0]][rows], self._samples.joints[rows]
+
+    def draw_batch(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Inputs of the network and the true joints in the body's frame, of a random augmented batch."""
+        rng = self._rng
+        rows = rng.choice(self.train, _BATCH)
+        use_true = rng.random(_BATCH) < (_TRUE_LABELS if len(self._labels) > 1 else 0)
+        parts, joints = self.rows(rows)
+        if use_true.any():
+            parts[use_true] = self._samples.parts[self._labels[1]][rows[use_true]]
+        parts, joints = augment(rng, *tilt(rng, parts, joints))
+        frame = _perturb_frame(rng, body_frame(parts))
+        inputs, _ = network_inputs(parts, frame)
+        return torch.from_numpy(inputs), torch.from_numpy(frame.from_world(joints).astype(np.float32))
+
+
+class _Run:
+    """The network, its optimiser and the average of its weights."""
+
+    def __init__(self, data: _Data, settings: VotesTraining) -> None:
+        self._settings = settings
+        self._network = VotesNet()
+        if settings.start is None:
+            self._network.start_from(*_mean_votes(*data.rows(data.train)))
+        else:
+            load_weights(self._network, settings.start)
+        self._average = AveragedModel(self._network, multi_avg_fn=get_ema_multi_avg_fn(_AVERAGE_DECAY))
+        self._optimiser = torch.optim.AdamW(
+            self._network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, betas=(0.9, 0.98)
+        )
+        self._bfloat16 = in_bfloat16(settings.bfloat16)
+        self.steps = 0
+
+    def step(self, inputs: torch.Tensor, joints: torch.Tensor, share: float) -> float:
+        """Train on one batch at a share (0–1) of the run; returns the mean distance (cm) of the joints."""
+        for group in self._optimiser.param_groups:
+            warm_up = min(1.0, (self.steps + 1) / _WARM_UP_STEPS)
+            group["lr"] = self._settings.learning_rate * warm_up * 0.5 * (1 + math.cos(math.pi * share)) + 1e-6
+        with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
+            estimates, logits = self._network(inputs)
+        distance = (estimates - joints).norm(dim=-1)
+        right = (distance.detach() < RIGHT_M).float()
+        confidence_loss = nn.functional.binary_cross_entropy_with_logits(logits.float(), right)
+        loss = distance.mean() + _CONFIDENCE_WEIGHT * confidence_loss
+        self._optimiser.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(self._network.parameters(), 1.0)
+        self._optimiser.step()
+        self.steps += 1
+        if self.steps > _AVERAGE_AFTER:
+            self._average.update_parameters(self._network)
+        return distance.mean().item() * 100
+
+    def best(self) -> nn.Module:
+        """The averaged network; the network itself before averaging starts."""
+        return self._average.module if self._average.n_averaged > 0 else self._network
+
+
+def train_votes(samples: CollectedSamples, settings: VotesTraining, seed: int, out: Path, console: Console) -> Path:
     """Train on collected samples; writes votes.onnx and votes.safetensors and returns the former's path.
 
     The objective is the mean distance of the joints, and the cross-entropy of the probability of an error within
-    ``RIGHT_M``. Ctrl-C ends training early, and what was learnt is written.
+    ``RIGHT_M``. Ctrl-C ends the training early, and the network so far is written.
 
     Raises:
         InputError: for samples of fewer than two groups (motion clips), or weights that cannot be read.
     """
     check_above_0({"--minutes": settings.minutes, "--learning-rate": settings.learning_rate})
     torch.manual_seed(seed)
-    rng = np.random.default_rng([seed, 11])
-    usable: list[Labels] = [k for k in LABELS if samples.parts[k][..., 0].any()]
-    sees = np.all([samples.parts[k][..., 0].any((-1, -2)) for k in usable], axis=0)
-    held_out = grouped_folds(samples.groups, _VALID_FOLDS) == 0
-    train, valid = np.flatnonzero(sees & ~held_out), np.flatnonzero(sees & held_out)
-    network = VotesNet()
-    if settings.start is None:
-        network.start_from(*_usual(samples.parts[usable[0]][train], samples.joints[train]))
-    else:
-        load_weights(network, settings.start)
-    average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(_AVERAGE))
-    optimiser = torch.optim.AdamW(
-        network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, betas=(0.9, 0.98)
-    )
-    half = in_bfloat16(settings.bfloat16)
-    history = []
-    start = told = time.monotonic()
-    step, running = 0, []
-    with Progress(console=console) as progress, _early_end(lambda: step > 0, console):
+    data = _Data(samples, seed)
+    run = _Run(data, settings)
+    history, distances = [], []
+    start = reported = time.monotonic()
+    with Progress(console=console) as progress, _early_end(lambda: run.steps > 0, console):
         task = progress.add_task("votes", total=1.0)
         while (share := (time.monotonic() - start) / 60 / settings.minutes) < 1:
-            chosen = rng.choice(train, _BATCH)
-            kind = rng.random(_BATCH) < (_TRUE_LABELS if len(usable) > 1 else 0)
-            parts = samples.parts[usable[0]][chosen]
-            if kind.any():
-                parts[kind] = samples.parts[usable[1]][chosen[kind]]
-            parts, joints = augment(rng, *tilted(rng, parts, samples.joints[chosen]))
-            frame = _shaken(rng, body_frame(parts))
-            x, _ = network_inputs(parts, frame)
-            y = torch.from_numpy(frame.from_world(joints).astype(np.float32))
-            for group in optimiser.param_groups:
-                warm = min(1.0, (step + 1) / 200)
-                group["lr"] = settings.learning_rate * warm * 0.5 * (1 + math.cos(math.pi * share)) + 1e-6
-            with torch.autocast("cpu", torch.bfloat16, enabled=half):
-                found, sure = network(torch.from_numpy(x))
-            distance = (found - y).norm(dim=-1)
-            right = (distance.detach() < RIGHT_M).float()
-            loss = distance.mean() + 0.02 * nn.functional.binary_cross_entropy_with_logits(sure.float(), right)
-            optimiser.zero_grad()
-            loss.backward()
-            nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-            optimiser.step()
-            step += 1
-            if step > _AVERAGE_AFTER:
-                average.update_parameters(network)
-            running.append(distance.mean().item() * 100)
-            progress.update(task, completed=share, description=f"{step * _BATCH} samples  {running[-1]:.1f} cm")
-            if time.monotonic() - told > max(20, settings.minutes * 3):
-                told = time.monotonic()
-                row = {"minutes": (told - start) / 60, "samples": step * _BATCH, "train_cm": float(np.mean(running))}
-                if len(valid):
-                    errors = _errors(_best(average, network), samples.parts[usable[0]][valid], samples.joints[valid])
+            distances.append(run.step(*data.draw_batch(), share))
+            count = run.steps * _BATCH
+            progress.update(task, completed=share, description=f"{count} samples  {distances[-1]:.1f} cm")
+            if time.monotonic() - reported > max(20, settings.minutes * 3):
+                reported = time.monotonic()
+                row = {"minutes": (reported - start) / 60, "samples": count, "train_cm": float(np.mean(distances))}
+                if len(data.valid):
+                    errors = _errors(run.best(), *data.rows(data.valid))
                     row |= {"valid_cm": float(errors.mean()) * 100, "valid_within_10cm": float((errors < 0.1).mean())}
-                running = []
+                distances = []
                 history.append(row)
                 progress.console.print({k: round(v, 3) for k, v in row.items()})
-    network = _best(average, network).eval()
+    network = run.best().eval()
     half = {k: v.half() if v.ndim > 1 else v for k, v in network.state_dict().items()}
     write_file(out / "votes.safetensors", serialise({k: v.contiguous() for k, v in half.items()}))
     write_file(out / "votes.jsonl", "".join(json.dumps(row) + "\n" for row in history))
@@ -265,7 +300,7 @@ def train_votes(samples: Collected, settings: VotesTraining, seed: int, out: Pat
 
 @contextlib.contextmanager
 def _early_end(begun: Callable[[], bool], console: Console) -> Iterator[None]:
-    """Let Ctrl-C end what is within, and nothing else, if it has begun."""
+    """Let Ctrl-C end the block only, once training has begun."""
     try:
         yield
     except KeyboardInterrupt:

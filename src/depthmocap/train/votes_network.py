@@ -1,4 +1,4 @@
-"""The network by which parts vote for joints (extra: train). Inference runs its ONNX form, see ``votes``."""
+"""The voting network: parts of the body vote for joints (extra: train). ``pose.votes`` runs its ONNX form."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.pose.parts import CENTRE, COUNT, MIRRORED, PART_COLUMNS, PART_COUNT
 
 _HIDDEN = -1e9
-#: Votes are told in units of so many metres.
+#: Unit of the votes' offsets, metres.
 _UNIT_M = 0.3
 
 
 class _Block(nn.Module):
-    """Attention among tokens, then a layer on each; both added to what comes in."""
+    """Self-attention, then a layer on each token; both residual."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -33,8 +33,8 @@ class _Block(nn.Module):
 
 
 class _Others(nn.Module):
-    """What the other cameras saw of a part, and all cameras of its mirror image, for the token of each camera's part:
-    whether they agree, or whether sides were taken for each other."""
+    """Compares a camera's part with the same part in the other cameras, and with its mirror image in all cameras, to
+    recognise swapped sides."""
 
     def __init__(self, width: int, inner: int = 32) -> None:
         super().__init__()
@@ -48,32 +48,34 @@ class _Others(nn.Module):
     def forward(self, tokens: Tensor, centres: Tensor, hidden: Tensor) -> Tensor:
         # tokens (n, views, 61, width), centres (n, views, 61, 3), hidden (n, views, 61)
         views = torch.arange(tokens.shape[1], device=tokens.device)
-        found = []
+        summaries = []
         for i in range(2):
-            others, there, unseen = tokens, centres, hidden
+            other_tokens, other_centres, unseen = tokens, centres, hidden
             if i:
-                others, there, unseen = (each.index_select(2, self.mirrored) for each in (others, there, unseen))
-            between = (there.unsqueeze(1) - centres.unsqueeze(2)) / _UNIT_M
+                other_tokens, other_centres, unseen = (
+                    array.index_select(2, self.mirrored) for array in (other_tokens, other_centres, unseen)
+                )
+            between = (other_centres.unsqueeze(1) - centres.unsqueeze(2)) / _UNIT_M
             far = (between.square().sum(-1, keepdim=True) + 1e-6).sqrt()
-            pairs = self.mine[i](tokens).unsqueeze(2) + self.theirs[i](others).unsqueeze(1)
+            pairs = self.mine[i](tokens).unsqueeze(2) + self.theirs[i](other_tokens).unsqueeze(1)
             pairs = nn.functional.gelu(pairs + self.between[i](torch.cat([between, far], -1)))
             without = unseen.unsqueeze(1).expand(-1, tokens.shape[1], -1, -1)
             if not i:
                 without = without | (views[:, None] == views).unsqueeze(-1)
-            most = pairs.masked_fill(without.unsqueeze(-1), _HIDDEN).amax(2)
-            found.append(torch.where(without.all(2).unsqueeze(-1), 0.0, most))
-        return self.out(torch.cat(found, -1))
+            strongest = pairs.masked_fill(without.unsqueeze(-1), _HIDDEN).amax(2)
+            summaries.append(torch.where(without.all(2).unsqueeze(-1), 0.0, strongest))
+        return self.out(torch.cat(summaries, -1))
 
 
 class VotesNet(nn.Module):
-    """What cameras saw of regions to joints, all in the body's frame.
+    """From statistics of the regions in each camera to joints, all in the body's frame.
 
-    What each camera saw of a part is compared with what the others saw of it, and with the other parts it saw. Then
-    what several cameras saw of a part is weighed into one token. The tokens of the parts and one of each joint look
-    at each other; then every seen part votes for every joint, as an offset from its centre, and each joint weighs
-    the votes. Both have a part that is always the same, set from the samples' means (:meth:`start_from`), so that the
-    rest has only the differences to learn. A joint has one vote of its own, relative to the frame, for when little was
-    seen. The order of the cameras makes no difference.
+    Each camera's token of a part is compared with that of the other cameras, and attends to the camera's other parts.
+    Then the tokens of a part are averaged over the cameras with learnt weights. The tokens of the parts and one token
+    per joint attend to each other. Then each visible part votes for each joint with an offset from its centre, and each
+    joint weighs the votes. Offsets and weights have a constant part, set from the samples' means (:meth:`start_from`),
+    so that the network learns only the differences. Each joint also has one vote relative to the frame, for samples in
+    which little is visible. The order of the cameras makes no difference.
 
     ``forward`` gives joints (n, 18, 3) in metres and the logit of the probability that a joint is within 10 cm (n, 18).
     """
@@ -86,7 +88,7 @@ class VotesNet(nn.Module):
         self.others = _Others(width)
         self.missed = nn.Parameter(torch.randn(PART_COUNT, width) * 0.1)
         self.within = _Block(width, heads)
-        # At first, every camera is taken as it is.
+        # At first, the comparisons change nothing.
         for layer in (self.others.out, self.within.out, self.within.each[-1]):
             nn.init.zeros_(layer.weight)  # pyright: ignore[reportArgumentType]
             nn.init.zeros_(layer.bias)  # pyright: ignore[reportArgumentType]
@@ -105,8 +107,8 @@ class VotesNet(nn.Module):
         self.usual_place = nn.Parameter(torch.zeros(len(JOINTS), 3))
 
     def start_from(self, offsets: Tensor, variances: Tensor, places: Tensor) -> None:
-        """Start as the best voter that knows nothing but means: offsets (61, 18, 3) of joints from parts, their
-        variances (61, 18), whose inverses are the weights, and the joints' mean places (18, 3), all in metres."""
+        """Set the constant parts: offsets (61, 18, 3) of joints from parts, their variances (61, 18), whose inverses
+        are the weights, and the joints' mean positions (18, 3), all in metres."""
         with torch.no_grad():
             self.usual_offsets.copy_(offsets)
             self.usual_weights.copy_(-variances.clamp(min=1e-4).log().T)
@@ -132,11 +134,11 @@ class VotesNet(nn.Module):
         regions, joints = self.last(x).split([PART_COUNT, len(JOINTS)], 1)
         offsets = self.usual_offsets + self.offsets(regions).unflatten(-1, (len(JOINTS), 3)) * _UNIT_M
         votes = centre.unsqueeze(2) + offsets
-        heard = self.usual_weights + self.ask(joints) @ self.answer(regions).transpose(1, 2) * self.sizes[0] ** -0.5
-        heard = heard.masked_fill(nobody.transpose(1, 2), _HIDDEN)
-        own = self.own(joints)
-        share = torch.softmax(torch.cat([heard, own[..., 3:]], -1), -1)
-        place = self.usual_place + own[..., :3] * _UNIT_M
-        # No product of matrices, which half precision would round to 4 mm.
-        found = (share[..., :-1, None] * votes.transpose(1, 2)).sum(2) + share[..., -1:] * place
-        return found, self.sure(joints).squeeze(-1)
+        attention = self.usual_weights + self.ask(joints) @ self.answer(regions).transpose(1, 2) * self.sizes[0] ** -0.5
+        attention = attention.masked_fill(nobody.transpose(1, 2), _HIDDEN)
+        frame_vote = self.own(joints)
+        share = torch.softmax(torch.cat([attention, frame_vote[..., 3:]], -1), -1)
+        place = self.usual_place + frame_vote[..., :3] * _UNIT_M
+        # A sum, not a product of matrices, which half precision would round to 4 mm.
+        estimates = (share[..., :-1, None] * votes.transpose(1, 2)).sum(2) + share[..., -1:] * place
+        return estimates, self.sure(joints).squeeze(-1)
