@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -104,24 +105,13 @@ def build_pool(settings: PoolBuild) -> PosturePool:
     console = Terminal()
     joints = read_mapping(settings.mapping) if settings.mapping else {}
     folder = ClipFolder.open(settings.clips, ClipReading(joints, settings.skeletons, settings.up))
-    rest = anny_rest()
     check_outputs({"--out": settings.out})
     quotas = [_Quota(round(settings.count * share), round(settings.easy * share)) for share in settings.shares]
     covers = [Cover(settings.spacing_m, max(1000, _CANDIDATES * quota.count)) for quota in quotas]
-    read: list[Clip] = []
-    skipped: list[SkippedClip] = []
     rng = np.random.default_rng(settings.seed)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:
-        task = progress.add_task("reading clips", total=len(folder))
-        for clip in folder.read(rest):
-            if isinstance(clip, Clip):
-                split = SPLITS.index(clip.split)
-                covers[split].add(clip.postures, np.full(len(clip.postures), _tag(len(read), clip.simple, 0)))
-                read.append(dataclasses.replace(clip, postures=clip.postures[:0]))
-            else:
-                skipped.append(clip)
-            progress.advance(task)
+        read, skipped = _read_clips(folder, covers, progress)
         check_any_read(settings.clips, len(read), skipped)
         task = progress.add_task("picking postures", total=settings.count)
         parts, stops, done = [], {}, 0
@@ -137,7 +127,38 @@ def build_pool(settings: PoolBuild) -> PosturePool:
     tags = np.concatenate([tags for _, tags in parts])
     clips, simple, kinds = _untag(tags)
     splits = np.repeat(np.arange(len(SPLITS)), [len(tags) for _, tags in parts]).astype(np.uint8)
-    report = {
+    postures = np.concatenate([postures for postures, _ in parts])
+    report = _report(settings, read, skipped, stops)
+    pool = PosturePool(postures, clips, splits, simple, kinds, tuple(clip.name for clip in read), report)
+    report["counts"] = counts_of(pool)
+    pool.save(settings.out)
+    _print_report(console, pool, settings)
+    return pool
+
+
+def _read_clips(
+    folder: ClipFolder, covers: Sequence[Cover], progress: Progress
+) -> tuple[list[Clip], list[SkippedClip]]:
+    """Add the postures of all clips to the cover of their split; returns the clips, without postures."""
+    read: list[Clip] = []
+    skipped: list[SkippedClip] = []
+    task = progress.add_task("reading clips", total=len(folder))
+    for clip in folder.read(anny_rest()):
+        if isinstance(clip, Clip):
+            split = SPLITS.index(clip.split)
+            covers[split].add(clip.postures, np.full(len(clip.postures), _tag(len(read), clip.simple, 0)))
+            read.append(dataclasses.replace(clip, postures=clip.postures[:0]))
+        else:
+            skipped.append(clip)
+        progress.advance(task)
+    return read, skipped
+
+
+def _report(
+    settings: PoolBuild, read: Sequence[Clip], skipped: Sequence[SkippedClip], distances_m: dict[str, dict[str, float]]
+) -> dict[str, Any]:
+    """What the pool's file tells about how it was made."""
+    return {
         "settings": plain_settings(settings),
         "clips_read": len(read),
         "skipped": {clip.name: clip.reason for clip in skipped},
@@ -147,14 +168,8 @@ def build_pool(settings: PoolBuild) -> PosturePool:
         "skeletons": dict(Counter(clip.skeleton for clip in read)),
         "up": {clip.name: clip.up for clip in read if clip.up is not None},
         "lying": [clip.name for clip in read if clip.lies],
-        "distances_m": stops,
+        "distances_m": distances_m,
     }
-    postures = np.concatenate([postures for postures, _ in parts])
-    pool = PosturePool(postures, clips, splits, simple, kinds, tuple(clip.name for clip in read), report)
-    report["counts"] = counts_of(pool)
-    pool.save(settings.out)
-    _print_report(console, pool, settings)
-    return pool
 
 
 def _tag(clip: int, simple: bool, kind: int) -> int:
@@ -190,12 +205,12 @@ def _fill(cover: Cover, target: int, easy: bool, settings: PoolBuild, rng: np.ra
     """Add made-up postures until there are ``target`` (easy ones, if so): mirrored as far as they go, then half of the
     rest recombined, the legs of one and the trunk and arms of another, and the other half perturbed. All are
     within the limits of the joints, and distinct from all others."""
-    recorded = np.flatnonzero(_mine(cover, easy) & (_untag(cover.tags)[2] == KINDS.index("recorded")))
+    recorded = np.flatnonzero(_eligible(cover, easy) & (_untag(cover.tags)[2] == KINDS.index("recorded")))
     if not len(recorded):
         return
 
     def missing() -> int:
-        return target - int(_mine(cover, easy).sum())
+        return target - int(_eligible(cover, easy).sum())
 
     def add(postures: ndarray, sources: ndarray, kind: str) -> int:
         good = within_limits(postures)
@@ -203,27 +218,27 @@ def _fill(cover: Cover, target: int, easy: bool, settings: PoolBuild, rng: np.ra
         tags = clips.astype(np.int64) * 16 + simple * 8 + KINDS.index(kind)
         return cover.add(postures[good], tags, limit=cover.count + max(missing(), 0))
 
-    for some in np.array_split(rng.permutation(recorded), max(1, len(recorded) // _BATCH)):
+    for rows in np.array_split(rng.permutation(recorded), max(1, len(recorded) // _BATCH)):
         if missing() > 0:
-            add(mirror_posture(cover.postures[some]), some, "mirrored")
+            add(mirror_posture(cover.postures[rows]), rows, "mirrored")
     half = missing() // 2
     while missing() > half:
         legs, arms = rng.choice(recorded, (2, _BATCH))
         # Of walking and others together nothing is easy: both halves are of the same kind.
-        legs, arms = (some[_untag(cover.tags[legs])[1] == _untag(cover.tags[arms])[1]] for some in (legs, arms))
+        legs, arms = (rows[_untag(cover.tags[legs])[1] == _untag(cover.tags[arms])[1]] for rows in (legs, arms))
         mixed = cover.postures[legs].copy()
         mixed[:, UPPER_BONES] = cover.postures[arms][:, UPPER_BONES]
         most = max(1, min(len(mixed), missing() - half))
         if add(mixed[:most], legs[:most], "recombined") < _FEWEST * most:
             break
     while missing() > 0:
-        base = rng.choice(np.flatnonzero(_mine(cover, easy)), _BATCH)
+        base = rng.choice(np.flatnonzero(_eligible(cover, easy)), _BATCH)
         moved = cover.postures[base] + rng.normal(0, settings.noise_rad, (_BATCH, 20, 3)).astype(np.float32)
         if add(moved, base, "perturbed") < _FEWEST * _BATCH:
             break
 
 
-def _mine(cover: Cover, easy: bool) -> Bool[ndarray, "n"]:
+def _eligible(cover: Cover, easy: bool) -> Bool[ndarray, "n"]:
     return _untag(cover.tags)[1] | (not easy)
 
 
@@ -238,10 +253,10 @@ def counts_of(pool: PosturePool) -> dict[str, dict[str, int]]:
 
 
 def _by_axis(up: dict[str, str]) -> dict[str, list[str]]:
-    return {axis: [name for name, own in up.items() if own == axis] for axis in sorted(set(up.values()))}
+    return {axis: [name for name, clip_axis in up.items() if clip_axis == axis] for axis in sorted(set(up.values()))}
 
 
-def _some(names: list[str]) -> str:
+def _first_names(names: list[str]) -> str:
     """The first few of some names."""
     return ", ".join(names[:5]) + (", …" if len(names) > 5 else "")
 
@@ -261,12 +276,12 @@ def _print_report(console: Console, pool: PosturePool, settings: PoolBuild) -> N
     for axis, names in _by_axis(report["up"]).items():
         console.print(
             f"  up is {axis} in {len(names)} clips, as the path of the root tells, and not as in the rest pose: "
-            f"{_some(names)}", soft_wrap=True,
+            f"{_first_names(names)}", soft_wrap=True,
         )  # fmt: skip
     if report["lying"]:
         console.print(
             f"  nobody stands or sits in {len(report['lying'])} clips; if that is wrong, tell --up: "
-            f"{_some(report['lying'])}", style="yellow", soft_wrap=True,
+            f"{_first_names(report['lying'])}", style="yellow", soft_wrap=True,
         )  # fmt: skip
     table = Table("split", "postures", "easy", *KINDS, "stop")
     for split, counts in report["counts"].items():
@@ -275,12 +290,12 @@ def _print_report(console: Console, pool: PosturePool, settings: PoolBuild) -> N
         table.add_row(split, *(str(value) for value in counts.values()), stop)
     console.print(table)
     for split, share in zip(SPLITS, settings.shares, strict=True):
-        held, wanted = report["counts"][split]["postures"], round(settings.count * share)
-        if held < wanted:
+        held, target = report["counts"][split]["postures"], round(settings.count * share)
+        if held < target:
             why = (
                 f"its clips give no more that differ by {100 * settings.spacing_m:g} cm; lower --spacing-m or"
                 if held
                 else "no clip falls in it;"
             )
-            console.print(f"{split}: {held} of {wanted} postures: {why} give more clips", style="yellow")
+            console.print(f"{split}: {held} of {target} postures: {why} give more clips", style="yellow")
     console.print(f"wrote {settings.out} ({settings.out.stat().st_size / 1e6:.1f} MB)")

@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from depthmocap.body.regions import REGION_NAMES
-from depthmocap.synth.body.mesh import BodyModel, Phenotype
+from depthmocap.synth.body.mesh import Body, BodyModel, Phenotype
 from depthmocap.synth.people.wardrobe import SKIRT_LINE_M
 
 #: Columns of a sheet that hangs around both legs, evenly around the body from its back, and of one of hair.
@@ -104,56 +105,46 @@ def _edges(faces: Int[ndarray, "f 3"]) -> Int[ndarray, "e 2"]:
     return np.unique(np.concatenate([pairs, pairs[:, ::-1]]), axis=0)
 
 
+class _Skin(NamedTuple):
+    """The skin that cloth or hair covers, its vertices sorted by part and height.
+
+    Attributes:
+        vertices: indices into the body's mesh.
+        part: 0 trunk, 1 arms, 2 left leg, 3 right leg, 4 scalp.
+        points: on the default body, metres.
+        armness: weight of the arm's bones.
+        scalp: 1 where hair grows, 0 elsewhere, softened.
+        crotch: height, metres.
+    """
+
+    vertices: Int[ndarray, "n"]
+    faces: Int[ndarray, "f 3"]
+    part: Int[ndarray, "n"]
+    points: Float[ndarray, "n 3"]
+    armness: Float[ndarray, "n"]
+    scalp: Float[ndarray, "n"]
+    crotch: float
+
+
 def _build(model: BodyModel) -> ClothMap:
     body = model.shape(Phenotype())
     heads = dict(zip(model.bone_names, body.rest_heads, strict=True))
-    kinds = np.array([name.removesuffix(" R").removesuffix(" L") for name in REGION_NAMES])[model.face_regions]
-    wanted = ~np.isin(kinds, ("hand", "forefoot", "face"))
-    vertices, inverse = np.unique(model.faces[wanted], return_inverse=True)
-    faces = inverse.reshape(-1, 3)
-    points = body.rest_vertices[vertices].astype(np.float64)
-
-    def weight(*prefixes: str) -> Float[ndarray, "n"]:
-        bones = _starts_with(model.bone_names, *prefixes)
-        return (model.skin_weights[vertices] * bones[model.skin_indices[vertices]]).sum(1)
-
-    armness = weight("upperarm", "lowerarm", "wrist", "metacarpal", "finger")
-    legness = weight("upperleg", "lowerleg", "foot", "toe")
-    middle = np.abs(body.rest_vertices[:, 0]) < 0.01
-    hip = heads["upperleg01.L"]
-    crotch = float(body.rest_vertices[middle & (body.rest_vertices[:, 2] < hip[2] + 0.05), 2].min())
-    hairy = np.bincount(faces.ravel(), np.repeat(np.isin(kinds[wanted], ("hair", "forehead")), 3))
-    scalp = hairy / np.bincount(faces.ravel())
-    # Where cloth must part, below the crotch, the leg begins.
-    part = np.select([scalp > 0.3, armness > 0.5, (legness > 0.5) & (points[:, 2] < crotch)], [4, 1, 2], 0)
-    part[(part == 2) & (points[:, 0] < 0)] = 3
-    order = np.lexsort((points[:, 2], part))
-    vertices, points, part = vertices[order], points[order], part[order]
-    armness, scalp = armness[order], scalp[order]
-    faces = np.argsort(order)[faces].astype(np.int32)
+    vertices, faces, part, points, armness, scalp, crotch = _covered_skin(model, body, heads)
     edges = _edges(faces)
     x, y, z = points.T
     first = np.searchsorted(part, range(6))
     trunk, arm, left_leg, right_leg, head = (slice(int(a), int(b)) for a, b in itertools.pairwise(first))
     leg = slice(left_leg.start, right_leg.stop)
-    root = heads["neck01"]
+    root, skull = heads["neck01"], heads["head"]
     neck = (z - root[2]) - 0.55 * (y - root[1])
-
-    mirrored = np.stack([np.abs(x), y, z], 1)
     along, azimuth = np.zeros(len(points)), np.zeros(len(points))
+    mirrored = np.stack([np.abs(x), y, z], 1)
     chains = {"arm": ("upperarm01.L", "lowerarm01.L", "wrist.L"), "leg": ("upperleg01.L", "lowerleg01.L", "foot.L")}
     for mask, (start, bend, end) in ((arm, chains["arm"]), (leg, chains["leg"])):
         along[mask], azimuth[mask] = _along_limb(mirrored[mask], heads[start], heads[bend], heads[end])
     centre = float(np.median(y[trunk][z[trunk] < root[2]]))
     azimuth[trunk] = np.arctan2(x[trunk], y[trunk] - centre)
-    skull = heads["head"]
     azimuth[head] = np.arctan2(x[head], y[head] - skull[1])
-
-    sections: dict[tuple[str, int], tuple[ndarray, ndarray]] = {}
-    for (side, code), (bone, (above, below)) in itertools.product((("L", 2), ("R", 3)), enumerate(SECTIONS)):
-        own = part == code
-        slices = [np.flatnonzero(own & (np.abs(along - at) < 0.1)) for at in (above, below)]
-        sections[side, bone] = slices[0], slices[1]
     starts = np.searchsorted(edges[:, 0], np.arange(len(vertices) + 1))
     around = np.linspace(-np.pi, np.pi, SKIRT_COLUMNS, endpoint=False)
     hair_around = np.linspace(-HAIR_SIDE_RAD, HAIR_SIDE_RAD, HAIR_COLUMNS)
@@ -186,11 +177,49 @@ def _build(model: BodyModel) -> ClothMap:
         coarse=_random_fields(points, (0.12, 0.4), 4),
         fine=_random_fields(points, (0.05, 0.12), 6),
         chest=np.flatnonzero((part == 0) & (np.abs(z - heads["spine01"][2]) < 0.05) & (np.abs(x) < 0.05)),
-        sections=sections,
+        sections=_limb_sections(part, along),
         stature=float(np.ptp(body.rest_vertices[:, 2])),
         skirt=_anchors(points, edges, np.isin(part, (0, 2, 3)), crotch + SKIRT_LINE_M, (0.0, centre), around),
         hair=_anchors(points, edges, part == 4, eye + HAIR_LINE_M, (0.0, float(skull[1])), hair_around),
     )
+
+
+def _covered_skin(model: BodyModel, body: Body, heads: dict[str, Float[ndarray, "3"]]) -> _Skin:
+    kinds = np.array([name.removesuffix(" R").removesuffix(" L") for name in REGION_NAMES])[model.face_regions]
+    covered = ~np.isin(kinds, ("hand", "forefoot", "face"))
+    vertices, inverse = np.unique(model.faces[covered], return_inverse=True)
+    faces = inverse.reshape(-1, 3)
+    points = body.rest_vertices[vertices].astype(np.float64)
+
+    def weight(*prefixes: str) -> Float[ndarray, "n"]:
+        bones = _starts_with(model.bone_names, *prefixes)
+        return (model.skin_weights[vertices] * bones[model.skin_indices[vertices]]).sum(1)
+
+    armness = weight("upperarm", "lowerarm", "wrist", "metacarpal", "finger")
+    legness = weight("upperleg", "lowerleg", "foot", "toe")
+    middle = np.abs(body.rest_vertices[:, 0]) < 0.01
+    hip = heads["upperleg01.L"]
+    crotch = float(body.rest_vertices[middle & (body.rest_vertices[:, 2] < hip[2] + 0.05), 2].min())
+    hairy = np.bincount(faces.ravel(), np.repeat(np.isin(kinds[covered], ("hair", "forehead")), 3))
+    scalp = hairy / np.bincount(faces.ravel())
+    # The leg begins where cloth must part, below the crotch.
+    part = np.select([scalp > 0.3, armness > 0.5, (legness > 0.5) & (points[:, 2] < crotch)], [4, 1, 2], 0)
+    part[(part == 2) & (points[:, 0] < 0)] = 3
+    order = np.lexsort((points[:, 2], part))
+    faces = np.argsort(order)[faces].astype(np.int32)
+    return _Skin(vertices[order], faces, part[order], points[order], armness[order], scalp[order], crotch)
+
+
+def _limb_sections(
+    part: Int[ndarray, "n"], along: Float[ndarray, "n"]
+) -> dict[tuple[str, int], tuple[Int[ndarray, "_"], Int[ndarray, "_"]]]:
+    """Vertices around each leg (side, 0 for thigh and 1 for shin) at ``SECTIONS``."""
+    sections: dict[tuple[str, int], tuple[ndarray, ndarray]] = {}
+    for (side, code), (bone, (above, below)) in itertools.product((("L", 2), ("R", 3)), enumerate(SECTIONS)):
+        of_leg = part == code
+        slices = [np.flatnonzero(of_leg & (np.abs(along - at) < 0.1)) for at in (above, below)]
+        sections[side, bone] = slices[0], slices[1]
+    return sections
 
 
 def _random_fields(

@@ -6,7 +6,7 @@ import dataclasses
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from depthmocap.errors import InputError
@@ -133,20 +133,57 @@ def sense(
         return out
     box = slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
     depth = np.ascontiguousarray(depth_m[box], np.float32)
-    what = np.zeros(depth.shape, np.uint8) if material is None else np.ascontiguousarray(material[box])
-    dark, faced = np.zeros((0, 0), np.bool_), np.zeros((0, 0), np.float32)
-    if model.shadow_m != 0:
-        dark = np.zeros(depth.shape, np.bool_)
-        cast_shadows(depth, camera.fx * model.shadow_m, dark)
-    if model.multipath_m > 0:
-        coarse = np.empty((-(-depth.shape[0] // FACING_STEP), -(-depth.shape[1] // FACING_STEP)), np.float32)
-        facing_share(depth, camera.fx, coarse)
-        faced = cv2.resize(coarse, depth.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    blocks = np.zeros((0, 0), np.bool_)
+    materials = np.zeros(depth.shape, np.uint8) if material is None else np.ascontiguousarray(material[box])
+    corner2 = (max(camera.cx, camera.width - camera.cx) ** 2) + max(camera.cy, camera.height - camera.cy) ** 2
+    cx, cy = camera.cx - columns[0], camera.cy - rows[0]
+    read(
+        _with_margin(depth, box, depth_m.shape),
+        materials,
+        np.array(model.reflectance, np.float32),
+        _shadowed(depth, camera, model),
+        _facing_share(depth, camera, model),
+        _silhouette_blocks(depth, model),
+        _smooth_noise(depth.shape, model, seed),
+        Pinhole(float(camera.fx), float(camera.fy), float(cx), float(cy), float(corner2)),
+        _terms(model, camera),
+        seed,
+        out[box],
+    )
+    if model.blend > 0:
+        blend(out.copy(), model.blend, seed + 4, out)
+    return out
+
+
+def _shadowed(depth: Float[ndarray, "h w"], camera: DepthCamera, model: SensorModel) -> Bool[ndarray, "_ _"]:
+    """Pixels that the lamp does not reach; empty without shadows."""
+    if model.shadow_m == 0:
+        return np.zeros((0, 0), np.bool_)
+    dark = np.zeros(depth.shape, np.bool_)
+    cast_shadows(depth, camera.fx * model.shadow_m, dark)
+    return dark
+
+
+def _facing_share(depth: Float[ndarray, "h w"], camera: DepthCamera, model: SensorModel) -> Float[ndarray, "_ _"]:
+    """How much of each pixel's surroundings faces it; empty without multipath."""
+    if model.multipath_m <= 0:
+        return np.zeros((0, 0), np.float32)
+    coarse = np.empty((-(-depth.shape[0] // FACING_STEP), -(-depth.shape[1] // FACING_STEP)), np.float32)
+    facing(depth, camera.fx, coarse)
+    return cv2.resize(coarse, depth.shape[::-1], interpolation=cv2.INTER_LINEAR)
+
+
+def _silhouette_blocks(depth: Float[ndarray, "h w"], model: SensorModel) -> Bool[ndarray, "_ _"]:
+    """Blocks of pixels within reach of a silhouette; empty where silhouettes change nothing."""
     farthest_px = max(3 * model.lateral_px, 3 * model.fatten_px, *model.lost_px)
-    if farthest_px > 0 or model.flying > 0:
-        blocks = np.zeros((-(-depth.shape[0] // EDGE_BLOCK), -(-depth.shape[1] // EDGE_BLOCK)), np.bool_)
-        mark_silhouettes(depth, int(min(np.ceil(farthest_px), MARGIN)) // EDGE_BLOCK + 1, blocks)
+    if farthest_px <= 0 and model.flying <= 0:
+        return np.zeros((0, 0), np.bool_)
+    blocks = np.zeros((-(-depth.shape[0] // EDGE_BLOCK), -(-depth.shape[1] // EDGE_BLOCK)), np.bool_)
+    silhouettes(depth, int(min(np.ceil(farthest_px), MARGIN)) // EDGE_BLOCK + 1, blocks)
+    return blocks
+
+
+def _smooth_noise(shape: tuple[int, ...], model: SensorModel, seed: int) -> Float[ndarray, "fields h w"]:
+    """Fields of smooth noise: displacement along u and v, error, slow error, and holes; empty if none is used."""
     cells = (model.patch_px, model.patch_px, model.patch_px, model.wave_px, model.hole_px)
     used = (
         model.patch_px > 1,
@@ -155,33 +192,14 @@ def sense(
         model.wave > 0,
         np.isfinite(model.reach_m) and model.hole_dust < 1,
     )
-    smooth = np.empty((len(cells) if any(used) else 0, *depth.shape), np.float32)
+    smooth = np.empty((len(cells) if any(used) else 0, *shape), np.float32)
     for i, cell in enumerate(cells):
         if used[i]:
             smooth_noise(seed + 10 + i, cell, smooth[i])
     if used[3] and used[4]:
         # Holes of two sizes: where matching is poor it is so over a wide area.
         smooth[4] = np.sqrt(0.5) * (smooth[3] + smooth[4])
-    corner2 = (max(camera.cx, camera.width - camera.cx) ** 2) + max(camera.cy, camera.height - camera.cy) ** 2
-    cx, cy = camera.cx - columns[0], camera.cy - rows[0]
-    pinhole = Pinhole(float(camera.fx), float(camera.fy), float(cx), float(cy), float(corner2))
-    reflectance = np.array(model.reflectance, np.float32)
-    simulate_readings(
-        _with_margin(depth, box, depth_m.shape),
-        what,
-        reflectance,
-        dark,
-        faced,
-        blocks,
-        smooth,
-        pinhole,
-        _terms(model, camera),
-        seed,
-        out[box],
-    )
-    if model.blend > 0:
-        blend_edges(out.copy(), model.blend, seed + 4, out)
-    return out
+    return smooth
 
 
 def _with_margin(
