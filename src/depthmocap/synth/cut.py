@@ -1,7 +1,7 @@
 """People who are cut off: behind desks and beds, by the picture's edge, below the waist alone, half behind a door.
 
-What is hidden lies beyond a plane. The plane is drawn in the world, so that the cut follows the body and not the
-picture, but for the picture's own edges, whose plane passes through the camera's eye.
+The hidden part lies behind a plane in the world, so that the cut follows the body and not the picture. Only the plane
+of a picture's edge passes through the camera's eye.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.geometry.transforms import unit
 
-#: Hidden is what lies below the knees, thighs, hips or chest; above the waist or the neck; to one side; or beyond an
-#: edge of the picture.
+#: Hidden part: below the knees, thighs, hips or chest; above the waist or the neck; to one side; or beyond an edge of
+#: the picture.
 Cut = Literal["knees", "thighs", "hips", "chest", "waist", "head", "side", "edge"]
 CUTS: tuple[Cut, ...] = get_args(Cut)
 
-#: How often each is drawn in training: what stands before people hides their legs, most of all.
+#: Share of each in training. Furniture in front of people mostly hides their legs.
 _SHARES: Mapping[Cut, float] = {
     "knees": 0.14, "thighs": 0.14, "hips": 0.2, "chest": 0.1, "waist": 0.08, "head": 0.08, "side": 0.1, "edge": 0.16,
 }  # fmt: skip
@@ -31,22 +31,22 @@ _LEVELS: Mapping[Cut, tuple[float, float]] = {
     "knees": (-1.35, -0.7), "thighs": (-0.75, -0.25), "hips": (-0.3, 0.2), "chest": (0.2, 0.6),
     "waist": (-0.1, 0.5), "head": (0.75, 1.15),
 }  # fmt: skip
-#: These keep what is below the plane.
+#: Cuts that keep the part below the plane.
 _KEEP_BELOW: tuple[Cut, ...] = ("waist", "head")
-#: A trunk this upright (cosine) may be cut level, as a table's edge does, and not across its own axis.
+#: Least cosine of the trunk's tilt for a horizontal cut, as by a table's edge, in place of a cut across the trunk.
 _UPRIGHT = 0.5
-#: Deviation of a cut's direction (radians), about.
+#: Approximate standard deviation of a cut's direction, radians.
 _TILT = 0.12
 
 
 class Plane(NamedTuple):
-    """A plane in the world; what lies to the side that the normal points to stays in sight."""
+    """A plane in the world; the side that the normal points to stays visible."""
 
     point: Float[ndarray, "3"]
     normal: Float[ndarray, "3"]
 
     def keeps(self, depth_m: Float[ndarray, "h w"], camera: DepthCamera) -> Bool[ndarray, "h w"]:
-        """Which pixels of a picture without distortion show something on the side that stays.
+        """Pixels (of a picture without distortion) that show something on the visible side.
 
         Args:
             depth_m: metres along z.
@@ -60,13 +60,13 @@ class Plane(NamedTuple):
 
 
 def random_cut(rng: np.random.Generator) -> Cut:
-    """One of the ways in which people are cut off, as often as training shows it."""
+    """A random kind of cut, with the shares of training."""
     shares = np.array([_SHARES[cut] for cut in CUTS])
     return CUTS[int(rng.choice(len(CUTS), p=shares / shares.sum()))]
 
 
 def cut_plane(rng: np.random.Generator, cut: Cut, joints: Float[ndarray, "18 3"], camera: DepthCamera) -> Plane:
-    """Beyond which plane somebody is hidden.
+    """A random plane behind which the person is hidden.
 
     Args:
         joints: of the person, in the world.
@@ -87,7 +87,7 @@ def _across(rng: np.random.Generator, cut: Cut, hip: Float[ndarray, "3"], neck: 
 
 
 def _beside(rng: np.random.Generator, joints: Float[ndarray, "18 3"], camera: DepthCamera) -> Plane:
-    """Something upright, a door or a pillar, hides one half of the body."""
+    """A vertical edge, as of a door or a pillar, hides one half of the body."""
     right = camera.world_from_camera[:3, 0] + rng.normal(0, _TILT, 3)
     normal = unit(right) * (1.0 if rng.random() < 0.5 else -1.0)
     return Plane(_within(rng, joints, normal, (0.15, 0.6)), normal)
@@ -107,7 +107,7 @@ def _edge(rng: np.random.Generator, joints: Float[ndarray, "18 3"], camera: Dept
 def _within(
     rng: np.random.Generator, joints: Float[ndarray, "18 3"], axis: Float[ndarray, "3"], hidden: tuple[float, float]
 ) -> Float[ndarray, "3"]:
-    """A point beyond which, against an axis, a share of the body's extent is hidden."""
+    """A point such that a random share of the body's extent along the axis lies before it."""
     places = joints @ axis
     low, high = places.min() - 0.1, places.max() + 0.1
     middle = joints.mean(0)

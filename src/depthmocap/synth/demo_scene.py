@@ -63,7 +63,7 @@ class _Mount:
 
 
 def _half(preset: SensorPreset) -> SensorPreset:
-    """A sensor whose picture is stored at half its size."""
+    """A sensor with images at half their size."""
     return dataclasses.replace(
         preset, width=preset.width // 2, height=preset.height // 2, fx=preset.fx / 2, fy=preset.fy / 2,
         cx=preset.cx / 2 - 0.25, cy=preset.cy / 2 - 0.25,
@@ -110,7 +110,8 @@ def demo_frames(seed: int = 0, sets: int | None = None, fps: float = FPS) -> Ite
     The person is where they are at each camera's own time; the true joints are of the set's median time.
 
     Raises:
-        ValueError: when there are not so many ``sets``; by default there are ``fps`` a second of the whole motion.
+        ValueError: when the motion is shorter than ``sets``; by default there are ``fps`` per second of the whole
+            motion.
     """
     most = round(DEMO_SECONDS * fps)
     sets = most if sets is None else sets
@@ -127,9 +128,9 @@ def demo_frames(seed: int = 0, sets: int | None = None, fps: float = FPS) -> Ite
     for i, truth in enumerate(pose_sequence(body, demo_motion(body, middle_s))):
         views = []
         for camera, poses in zip(rig.cameras, moving, strict=True):
-            seen = render_person(next(poses), camera, rooms[camera.name])
-            depth = sense(seen.depth_m, seen.material, camera, _MOUNTS[camera.name].sensor.model, rng)
-            views.append(View(camera, depth, seen.person & (depth > 0), seen.labels))
+            rendering = render_person(next(poses), camera, rooms[camera.name])
+            depth = sense(rendering.depth_m, rendering.material, camera, _MOUNTS[camera.name].sensor.model, rng)
+            views.append(View(camera, depth, rendering.person & (depth > 0), rendering.labels))
         stamps = {camera.name: _stamp_ns(times_s[k, i]) for k, camera in enumerate(rig.cameras)}
         yield stamps, FrameSet(_stamp_ns(middle_s[i]), tuple(views), truth.joints)
 

@@ -14,9 +14,9 @@ from depthmocap.geometry.transforms import transform_points
 from depthmocap.kernels.raster import rasterise
 from depthmocap.synth.body.mesh import PosedBody
 
-#: Nothing nearer than this is drawn (metres).
+#: Nothing nearer than this is drawn, metres.
 NEAR_M = 0.15
-#: Cloth and hair this far before the skin (metres) tell nothing of it: the label is then 0.
+#: Where cloth or hair is farther than this before the skin, the label is 0, metres.
 REACH_M = 0.25
 
 
@@ -45,7 +45,7 @@ class Layer:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PosedPerson:
-    """A posed body and what it wears."""
+    """A posed body with its clothes and hair."""
 
     body: PosedBody
     layers: tuple[Layer, ...] = ()

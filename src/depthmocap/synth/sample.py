@@ -43,9 +43,11 @@ Noise = Literal["none", "sensor", "random"]
 
 #: Stands for every sensor but the one kept out of training.
 ANY_SENSOR = "any"
-#: A body fills at least so many pixels of one view; otherwise the sample is drawn again, so many times at most.
-_FEWEST_PIXELS, _TRIES = 50, 20
-#: No camera stands nearer to the body's middle, nor under the floor.
+#: Least number of the body's pixels in one view; a sample with fewer is drawn again.
+_FEWEST_PIXELS = 50
+#: Largest number of draws of a sample.
+_TRIES = 20
+#: Least distance of a camera from the body's middle, and least height above the floor, metres.
 _LEAST_M = {"distance_m": 0.5, "height_m": 0.0}
 
 
@@ -57,10 +59,11 @@ class CameraRange:
     Attributes:
         distance_m: from the body's middle, nearest and farthest; a sensor that reads less far stands nearer.
         height_m: above the floor, lowest and highest.
-        aim_m: deviation of the point they look at from the body's middle.
-        roll_rad: deviation of the roll; UBC3V's layout cannot store any.
+        aim_m: standard deviation of the point they look at from the body's middle.
+        roll_rad: standard deviation of the roll; UBC3V's layout cannot store any.
         truncated: share of cameras that look past the person, so that the picture ends within them.
-        steepest_deg: none looks down or up more steeply, 90 for straight down; those that would stand farther off.
+        steepest_deg: steepest angle of view, 90 for straight down; a camera that would look more steeply stands
+            farther off.
     """
 
     distance_m: tuple[float, float] = (1.5, 4.0)
@@ -89,9 +92,9 @@ class CameraRange:
             raise InputError(f"--steepest-deg must be more than 0 and at most 90, got {self.steepest_deg}")
 
 
-#: Deviation of the aim (metres) of a camera that looks past the person.
+#: Standard deviation of the aim of a camera that looks past the person, metres.
 _PAST_M = 0.7
-#: A sensor stands this much nearer than it reads, so that the far side of the person is in its range (metres).
+#: A sensor stands this much nearer than its range, so that the far side of the person is in range, metres.
 _REACH_M = 0.4
 
 
@@ -127,18 +130,19 @@ class Recipe:
         sensors: names of sensors (see docs/guides/sensors.md), one is drawn for each view; "any" stands for all but the
             one that is kept out of training.
         noise: "none" for exact depth, "sensor" for the sensor's errors, "random" for errors drawn around them.
-        scene: what is around the person: "off" nothing, "training" things that hide and cling, "full" furnished rooms.
-        cameras: where they stand.
+        scene: what is around the person: "off" nothing, "training" objects that hide the person or touch them,
+            "full" furnished rooms.
+        cameras: positions of the cameras.
         wardrobe: what people of open wear: "indoors", "any" (that, and outdoor jackets and hoods over it) or "outdoors"
             (a jacket, all of them); in the last two they also put their hands in their pockets.
         held_out_clothes: everybody wears the family of garments that is kept out of training.
         seated: everybody sits.
-        hands_on_body: everybody who can lays a hand or both on themselves: folded arms, hands on hips, at the chin.
-        family: everybody is in a posture of a family that recordings hardly show: "floor" lying, kneeling, crawling,
+        hands_on_body: everybody lays a hand or both on the body, if possible: folded arms, hands on hips, at the chin.
+        family: everybody is in a posture of a family that is rare in recordings: "floor" lying, kneeling, crawling,
             "acrobatic" kicks, splits, scales, bends, "air" any way up.
-        cut: all is hidden of somebody that lies below the knees, thighs, hips or chest, above the waist or the neck, to
-            one side, or beyond an edge of the picture; "any" for each now and then.
-        cut_share: share of the people of whom something is hidden so.
+        cut: the part of the body is hidden that lies below the knees, thighs, hips or chest, above the waist or the
+            neck, to one side, or beyond an edge of the picture; "any" for all of these in turn.
+        cut_share: share of the people who are cut off.
     """
 
     subset: Subset = "hard"
@@ -189,7 +193,7 @@ _BENCH = Recipe(
     "open", "test", sensors=(ANY_SENSOR,), noise="sensor", cameras=CameraRange(roll_rad=0.03), wardrobe="indoors"
 )
 #: The project's own test sets: ordinary people; clothes and a sensor that training never shows; people in outdoor
-#: jackets, with hands in pockets; and people who sit or touch themselves, which recordings hardly show.
+#: jackets, with hands in pockets; and people who sit or touch themselves, which is rare in recordings.
 BENCH: dict[str, Recipe] = {
     "seen": _BENCH,
     "new clothes": dataclasses.replace(_BENCH, held_out_clothes=True),
@@ -216,7 +220,7 @@ class Sample:
 
 
 def see(person: PosedPerson, scene: Scene | None, camera: DepthCamera) -> Rendering:
-    """What a perfect camera sees of a person in a scene."""
+    """Exact depth, labels and materials of a person in a scene."""
     background = (None, None) if scene is None else render_scene(scene, camera)
     return render_person(person, camera, *background)
 
@@ -224,7 +228,7 @@ def see(person: PosedPerson, scene: Scene | None, camera: DepthCamera) -> Render
 def random_person(
     rng: np.random.Generator, subset: Subset, postures: PostureSource, wardrobe: Wardrobe = "any"
 ) -> PosedPerson:
-    """Somebody of a subset in any posture."""
+    """A random person of a subset in a random posture."""
     dressed = random_dressed(rng, subset, wardrobe=wardrobe)
     return _posed(rng, subset, dressed, postures.sample(rng)[0], wardrobe)
 
@@ -232,7 +236,7 @@ def random_person(
 def _posed(
     rng: np.random.Generator, subset: Subset, dressed: DressedBody, posture: Float[ndarray, "20 3"], wardrobe: Wardrobe
 ) -> PosedPerson:
-    """Somebody in a posture; those of open hold their arms as outdoor clothes let them."""
+    """A person in a posture; people of "open" hold their arms as outdoor clothes allow."""
     if subset != "open" or wardrobe == "indoors":
         return dressed.pose(posture)
     return posed_in_clothes(dressed, posture, rng)
@@ -264,7 +268,7 @@ def draw_sample(rng: np.random.Generator, recipe: Recipe, postures: PostureSourc
             depth = sense(depth, rendering.material, camera, model, rng)
         mask, labels = rendering.person & (depth > 0), rendering.labels
         if cut is not None:
-            # Of a generator that every view starts anew: one table hides the same of a person from all cameras.
+            # The generator starts anew in each view, because one table hides the same part from all cameras.
             plane = cut_plane(np.random.default_rng(cut_seed), cut, person.joints, camera)
             hidden = rendering.person & ~plane.keeps(depth, camera)
             mask &= ~hidden
@@ -274,14 +278,14 @@ def draw_sample(rng: np.random.Generator, recipe: Recipe, postures: PostureSourc
 
 
 def _drawn_cut(rng: np.random.Generator, recipe: Recipe) -> tuple[Cut | None, int]:
-    """How somebody is cut off, and the seed of the cut."""
+    """The kind of cut, None for none, and its seed."""
     if recipe.cut is None:
         return None, 0
     seed = int(rng.integers(2**31))
-    own = np.random.default_rng([seed, 1])
-    if own.random() >= recipe.cut_share:
+    cut_rng = np.random.default_rng([seed, 1])
+    if cut_rng.random() >= recipe.cut_share:
         return None, 0
-    return (random_cut(own) if recipe.cut == "any" else recipe.cut), seed
+    return (random_cut(cut_rng) if recipe.cut == "any" else recipe.cut), seed
 
 
 class Sampler:
@@ -300,10 +304,10 @@ class Sampler:
         self._postures = posture_source(recipe.postures, recipe.split, recipe.subset == "easy", variation)
 
     def __call__(self, index: int) -> Sample:
-        """The sample of an index, from 0. One that no camera sees is drawn again.
+        """The sample of an index, from 0. A sample that no camera sees is drawn again.
 
         Raises:
-            InputError: when no camera sees the person however often it is drawn.
+            InputError: when no camera sees the person in all draws.
         """
         for attempt in range(_TRIES):
             rng = np.random.default_rng([self.seed, SPLITS.index(self.recipe.split), index, attempt])

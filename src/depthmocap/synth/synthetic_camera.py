@@ -31,7 +31,7 @@ class SyntheticScene:
     def __init__(self, seed: int = 0, sets: int | None = None, fps: int | None = None) -> None:
         """Load the body and make the first set, which takes long where nothing was compiled yet.
 
-        ``sets``: end after so many; by default the motion's length. ``fps``: by default the demo's.
+        ``sets``: number of frame sets; by default the motion's length. ``fps``: by default the demo's.
         """
         from depthmocap.synth.body.mesh import BodyModel
         from depthmocap.synth.demo_scene import FPS, demo_frames, demo_rig

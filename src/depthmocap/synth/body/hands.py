@@ -1,4 +1,4 @@
-"""What hands do: open, relaxed, closed to a fist, pointing. A hand keeps what it does; it is part of a body's shape.
+"""Hand poses: open, relaxed, fist, pointing. The pose of a hand is constant; it is part of a body's shape.
 
 Every bone of a hand turns with the wrist, so that fingers can be bent once, in the rest pose, and skinned by the wrist
 alone afterwards: no posture needs to tell more than the wrist."""

@@ -28,12 +28,12 @@ from depthmocap.synth.motion.limits import bone_axis, within_limits
 Family = Literal["floor", "acrobatic", "air"]
 #: How often each is drawn.
 FAMILIES: dict[Family, float] = {"floor": 0.45, "acrobatic": 0.35, "air": 0.2}
-#: Share of bodies of which each part is drawn anew; what is not stays the given posture's.
+#: Share of bodies in which each part is drawn anew; the other parts keep the given posture.
 _LEGS, _ARMS, _TRUNK = 0.85, 0.6, 0.6
-#: Of legs drawn anew so many are symmetric, as in a bridge, a squat or a crouch.
+#: Share of the legs drawn anew that are symmetric, as in a bridge, a squat or a crouch.
 _SYMMETRIC = 0.3
 _TRIES = 12
-#: Deviation of the tilt (radians) of who stays upright: a standing scale is tilted by half a right angle.
+#: Standard deviation of the tilt of upright bodies, radians: a standing scale is tilted by 45°.
 _LEAN_RAD = 0.45
 
 #: Of an adult, in metres: length, radius and share of the mass of each kind of bone's stick.
@@ -60,8 +60,8 @@ _AROUND /= np.linalg.norm(_AROUND, axis=1, keepdims=True)
 def beyond_recorded(
     posture: Float[ndarray, "20 3"], rng: np.random.Generator, family: Family | None = None
 ) -> Float[ndarray, "20 3"]:
-    """A posture beyond what is recorded: parts of the given one drawn anew over people's whole range, and the body laid
-    on the floor, thrown into the air, or left about upright, as a family says or by chance."""
+    """A posture beyond the recorded ones: parts are drawn anew over people's whole range of motion, and the body is
+    laid on the floor, thrown into the air, or left about upright, as a family says or by chance."""
     drawn = posture
     for _ in range(_TRIES):
         anew = random_limbs(posture, rng)

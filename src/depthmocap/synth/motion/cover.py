@@ -47,9 +47,9 @@ class Cover:
         return self._tags[: self.count]
 
     def add(self, postures: Float[ndarray, "n 20 3"], tags: Int[ndarray, "n"], limit: int | None = None) -> int:
-        """Keep what is distinct of some postures, headings removed; returns how many were kept.
+        """Add the distinct ones of some postures, without their headings; returns how many were added.
 
-        With a ``limit`` no more than so many are held, and the radius stays."""
+        With a ``limit`` at most that many are held, and the radius stays."""
         postures = without_heading(postures).astype(np.float32)
         ends = joint_positions(postures).astype(np.float32)
         before, start = self.count, 0
@@ -91,7 +91,7 @@ def farthest_points(
     Args:
         ends: joint positions.
         stages: which postures may be picked, and the number of picks at which the stage ends; one after another.
-        progress: told the number of picks now and then.
+        progress: called with the number of selected postures now and then.
 
     Returns:
         Indices in the order of picking, and the distance of the posture that would have been next (metres): every

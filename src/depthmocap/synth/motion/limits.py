@@ -1,4 +1,4 @@
-"""How far the joints of a person can go: what a recording, a prior or a perturbation must stay within.
+"""Joint limits: recordings, priors and perturbations must stay within them.
 
 The limits are our choice: generous, beyond what clinical tables of motion give for a single joint, because our bones
 stand for several joints (a spine bone for a third of the spine, an upper arm for the whole shoulder where a file has

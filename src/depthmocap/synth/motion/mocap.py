@@ -48,7 +48,7 @@ class Clip:
         flipped, impossible: how many were.
         skeleton: which joint is which of our bones, and how that was found.
         up: the axis that was taken for up in the file's world where its rest pose stands along another.
-        lies: nobody stands or sits in nearly all of it.
+        lies: the person neither stands nor sits in nearly all of it.
     """
 
     name: str
@@ -76,9 +76,9 @@ class ClipReading:
     """How the files of a folder are read.
 
     Attributes:
-        joints: joint of a posture bone, for files whose names fit no scheme.
+        joints: the file's joint of each posture bone, for names that fit no scheme.
         skeletons: ASF file by the part of an AMC file's name before the underscore, where it is not of that name.
-        up: the axis that is up in the files' worlds; by default each file tells (see ``retarget``).
+        up: the axis that is up in the files' worlds; by default it follows from each file (``retarget``).
     """
 
     joints: Joints = dataclasses.field(default_factory=dict)
@@ -100,7 +100,7 @@ def read_bvh(
     Args:
         path: the file.
         anny_rest: head of every bone of the body at rest (Z up), which gives our rest directions.
-        joints: the file's joint of posture bones, where names do not tell.
+        joints: the file's joint of each posture bone, for names that fit no scheme.
 
     Raises:
         InputError: a file that cannot be parsed, whose joints fit no naming scheme, or that lacks the length of a limb.
@@ -163,8 +163,8 @@ def _unflipped(postures: Float[ndarray, "n 20 3"], frame_time: float) -> Bool[nd
 class ClipFolder:
     """The clips of a folder, to be read one by one.
 
-    ``manifest.csv`` (columns file, description and, if wanted, fps), where there is one, tells which clips are walking
-    or running, and the rate of AMC files, which do not tell it themselves (120 otherwise).
+    ``manifest.csv`` (columns file, description and, if wanted, fps), where there is one, marks the clips of walking
+    or running, and gives the rate of AMC files, which do not hold it (120 otherwise).
     """
 
     directory: Path

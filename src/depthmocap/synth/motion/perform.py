@@ -70,7 +70,7 @@ def stand(side: str, x: float, y: float, yaw_deg: float = 0.0) -> tuple[float, f
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Motion:
-    """Postures of one body over time, and how far its pelvis is then from where it is at rest (metres)."""
+    """Postures of one body over time, and the displacement of its pelvis from the rest pose (metres)."""
 
     times_s: Float[ndarray, " n"]
     postures: Float[ndarray, "n 20 3"]

@@ -1,4 +1,4 @@
-"""``depthmocap postures build``: the most dissimilar postures of a folder of clips, filled up if few."""
+"""``depthmocap postures build``: the most dissimilar postures of a folder of clips; made-up ones fill it up."""
 
 from __future__ import annotations
 
@@ -29,10 +29,12 @@ from depthmocap.synth.motion.mocap import SPLITS, Clip, ClipFolder, ClipReading,
 from depthmocap.synth.motion.pool import KINDS, PosturePool
 from depthmocap.synth.motion.postures import UPPER_BONES, anny_rest
 
-#: Candidates held for every posture that is wanted; a farthest-point picking of them is the pool.
+#: Candidates per posture of the pool; farthest-point sampling of them makes the pool.
 _CANDIDATES = 3
-#: Made-up postures tried at a time; filling ends when fewer than this share of them is distinct.
-_BATCH, _FEWEST = 4096, 0.01
+#: Number of made-up postures that are tried at a time.
+_BATCH = 4096
+#: Filling ends when less than this share of them is distinct.
+_FEWEST = 0.01
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,18 +42,19 @@ class PoolBuild:
     """Pick the most dissimilar postures of a folder of clips, and fill up where the clips give few.
 
     Attributes:
-        clips: folder of BVH and ASF/AMC files; manifest.csv (file, description, fps) tells which are walking.
+        clips: folder of BVH and ASF/AMC files; manifest.csv (file, description, fps) marks the walking ones.
         out: the .npz file to write; give it to --postures of other commands.
         count: postures, of all splits together.
-        easy: of these, at least so many of walking and running, if there are such clips.
+        easy: least number of these from walking and running, if there are such clips.
         preset: "paper": 100,000 postures, 10,000 of them easy, as in the paper, in place of --count and --easy.
         shares: of the postures, for train, valid and test. Clips, not postures, are divided: by their names.
-        spacing_m: no two recorded postures of the pool are nearer than this, in the joint that differs most.
-        fill: make up what the clips do not give: mirrored, recombined and perturbed postures.
-        noise_rad: deviation of a perturbation, an axis of a bone.
+        spacing_m: least distance of two recorded postures of the pool, in the joint that differs most.
+        fill: add mirrored, recombined and perturbed postures where the clips give too few.
+        noise_rad: standard deviation of a perturbation, per axis of a bone.
         mapping: JSON file, joint of a posture bone, for skeletons with names of their own.
-        skeletons: ASF file of a subject whose own is missing: --skeletons 88 86.asf 90 86.asf
-        up: the axis that is up in the files' worlds; by default each file's rest pose and the path of its root tell.
+        skeletons: ASF file for a subject without one: --skeletons 88 86.asf 90 86.asf
+        up: the axis that is up in the files' worlds; by default it follows from each file's rest pose and the path of
+            its root.
         seed: the same seed gives the same pool.
     """
 
@@ -96,8 +99,8 @@ class _Quota:
 
 @locks_outputs(files=("out",))
 def build_pool(settings: PoolBuild) -> PosturePool:
-    """Read the clips one by one, pick, fill, write the pool, and print what it holds. Memory grows with the number of
-    postures asked for (about 1.5 kB each), not with that of the clips.
+    """Read the clips one by one, select, fill, write the pool and print a summary. Memory grows with the number of
+    postures (about 1.5 kB each), not with that of the clips.
 
     Raises:
         InputError: no readable clip, a bad mapping or manifest, or a file that cannot be written.
@@ -184,8 +187,8 @@ def _untag(tags: Int[ndarray, "n"]) -> tuple[ndarray, ndarray, ndarray]:
 def _pick(
     cover: Cover, quota: _Quota, settings: PoolBuild, rng: np.random.Generator, show: Any
 ) -> tuple[Int[ndarray, "k"], dict[str, float]]:
-    """Indices of a split's postures in its cover, how far apart its candidates are at least, and at which distance
-    picking stopped (metres)."""
+    """Indices of a split's postures in its cover, and distances (metres): the least distance of its candidates, and the
+    distance at which the selection stopped."""
     if not quota.count or not cover.count:
         return np.zeros(0, dtype=np.int64), {}
     distances = {"candidates": cover.radius_m, "stop": cover.radius_m}
@@ -224,7 +227,7 @@ def _fill(cover: Cover, target: int, easy: bool, settings: PoolBuild, rng: np.ra
     half = missing() // 2
     while missing() > half:
         legs, arms = rng.choice(recorded, (2, _BATCH))
-        # Of walking and others together nothing is easy: both halves are of the same kind.
+        # Both halves are of the same kind, so that combinations of walking stay easy.
         legs, arms = (rows[_untag(cover.tags[legs])[1] == _untag(cover.tags[arms])[1]] for rows in (legs, arms))
         mixed = cover.postures[legs].copy()
         mixed[:, UPPER_BONES] = cover.postures[arms][:, UPPER_BONES]

@@ -42,7 +42,7 @@ _LIMBS = [
     for bones in (("upper_arm", "forearm", "hand"), ("thigh", "shin", "foot"))
     for side in "RL"
 ]
-#: Of bad clips so many are named; there may be thousands.
+#: Largest number of skipped clips that are named; there may be thousands.
 _SKIPS_TOLD = 3
 #: Bones above the pelvis, which recombination takes from another posture.
 UPPER_BONES = np.array([i for i, name in enumerate(POSTURE_BONES) if name.partition(".")[0] not in
@@ -51,7 +51,7 @@ UPPER_BONES = np.array([i for i, name in enumerate(POSTURE_BONES) if name.partit
 
 @runtime_checkable
 class PostureSource(Protocol):
-    """Anything that draws postures. The heading is uniform; ``group`` tells which clip (or component) one is from."""
+    """Draws random postures with uniform headings; ``group`` is the clip (or component) of a posture."""
 
     def sample(self, rng: np.random.Generator) -> tuple[Float[ndarray, "20 3"], int]: ...
 
@@ -61,15 +61,15 @@ class Variation:
     """How drawn postures are varied beyond what was recorded.
 
     Attributes:
-        mirror: share that is mirrored.
-        recombine: share whose trunk, head and arms are another posture's.
+        mirror: share of mirrored postures.
+        recombine: share with the trunk, head and arms of another posture.
         noise_rad: deviation of every rotation.
         limb: share of arms and legs, each by itself, that are another posture's.
-        tilt: share of bodies that are tilted as a whole, by any angle to any side: lying, falling, upside down.
-        sit: share of bodies whose legs are those of somebody who sits.
+        tilt: share of bodies tilted as a whole, by any angle to any side: lying, falling, upside down.
+        sit: share of bodies with the legs of a sitting person.
         touch: share of bodies that lay one or both hands on themselves.
         as_recorded: share to which nothing of all this is done but mirroring.
-        beyond: share in whose place there are postures that no recording shows (see ``motion.beyond``).
+        beyond: share replaced by postures that are in no recording (``motion.beyond``).
         family: of which these are; by default of any.
     """
 
@@ -259,7 +259,7 @@ def anny_rest() -> dict[str, Float[ndarray, "3"]]:
 
 
 def load_clips(directory: Path) -> list[Clip]:
-    """All readable clips of a directory; what is skipped is logged.
+    """All readable clips of a directory; skipped clips are logged.
 
     Raises:
         InputError: no directory, no clip in it, or none that is readable.

@@ -1,4 +1,4 @@
-"""People who sit: upright, leaning back, with legs crossed. Recordings of motion hardly show it; rooms are full of it.
+"""Sitting people: upright, leaning back, with legs crossed. They are rare in recordings of motion, and common in rooms.
 
 Only the posture is made. A chair that stood there before is no part of a person's mask; what hides their back and
 thighs is drawn by the scenes, as for anybody else.

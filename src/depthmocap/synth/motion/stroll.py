@@ -1,4 +1,4 @@
-"""A body walks from place to place, and stands for a while where it is told to."""
+"""A body walks from stop to stop, and stands for a while at some of them."""
 
 from __future__ import annotations
 

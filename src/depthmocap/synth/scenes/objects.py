@@ -39,7 +39,7 @@ _ARM = ("hand", "wrist", "forearm")
 
 
 def axes_of(z: Float[ndarray, "3"], x_hint: Float[ndarray, "3"]) -> Float[ndarray, "3 3"]:
-    """A rotation whose z axis is ``z`` and whose x axis is as near to ``x_hint`` as that allows."""
+    """A rotation with z axis ``z`` and the x axis nearest to ``x_hint``."""
     z = unit(z)
     x = x_hint - (x_hint @ z) * z
     if np.linalg.norm(x) < 1e-3:
@@ -173,7 +173,7 @@ def _tray(rng: np.random.Generator, hand: _Hand) -> Solids:
 
 
 def _grip_axis(rng: np.random.Generator, hand: _Hand, spread: float) -> Float[ndarray, "3"]:
-    """The axis of what a fist closes around: across the forearm, as upright as that allows."""
+    """Axis of an object in a fist: across the forearm, as upright as possible."""
     upright = _UP + rng.normal(0, spread, 3)
     return axes_of(hand.forearm, upright)[:, 0]
 

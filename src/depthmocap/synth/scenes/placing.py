@@ -10,19 +10,23 @@ from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.synth.scenes.furniture import AGAINST_WALLS, FREE_STANDING, Maker, yaw
 from depthmocap.synth.scenes.solids import NONE, Solids, box, join, shell
 
-#: Nothing stands nearer than this to a camera, to the skin and to other furniture (metres).
-CAMERA_CLEARANCE_M, BODY_CLEARANCE_M, GAP_M = 0.5, 0.05, 0.03
-#: Furniture without a room, and what stands about in one, is no farther than this from the person (metres).
+#: Least distance of furniture from a camera, metres.
+CAMERA_CLEARANCE_M = 0.5
+#: Least distance of furniture from a person's skin, metres.
+BODY_CLEARANCE_M = 0.05
+#: Least distance between pieces of furniture, metres.
+GAP_M = 0.03
+#: Largest distance from the person of furniture that does not stand at a wall, metres.
 _ABOUT_M = 3.0
 _TRIES = 8
 
 
 class Place:
-    """People, cameras and what has been put among them so far.
+    """People, cameras and the solids placed so far.
 
     Args:
-        eyes: the cameras' places.
-        joints: of the person who is to stay in sight.
+        eyes: positions of the cameras.
+        joints: of the person who must stay visible.
         seen_by_one, seen_by_each: shares of the joints that one camera and every camera must see.
     """
 
@@ -37,25 +41,26 @@ class Place:
         self._footprints: list[Float[ndarray, "4 2"]] = []
 
     def moved(self, rotation: Float[ndarray, "3 3"], offset: Float[ndarray, "3"]) -> Place:
-        """The same in other axes."""
+        """The same place in other axes."""
         moved = Place(self.eyes @ rotation.T + offset, self.joints @ rotation.T + offset, *self._least)
         moved._hidden = self._hidden
         moved.points = self.points @ rotation.T + offset
         return moved
 
     def occupy(self, points: Float[ndarray, "p 3"]) -> None:
-        """People are here."""
+        """Add points of people."""
         self.points = np.concatenate([self.points, points])
 
     def accept(self, solids: Solids, clear_of_body: bool = True) -> bool:
-        """Put solids there if they may stand there; a body is not tested for what it wears and holds."""
+        """Place solids if they may stand there. ``clear_of_body=False`` skips the test against people, for worn and
+        held objects."""
         if solids.grown(CAMERA_CLEARANCE_M).hold_any(self.eyes):
             return False
         if clear_of_body and self._touches_people(solids):
             return False
         hidden = self._hidden | solids.hide(self.eyes, self.joints)
-        seen = 1 - hidden.mean(1)
-        if len(seen) and (seen.max() < self._least[0] or seen.min() < self._least[1]):
+        visible = 1 - hidden.mean(1)
+        if len(visible) and (visible.max() < self._least[0] or visible.min() < self._least[1]):
             return False
         self._hidden = hidden
         return True
@@ -63,13 +68,13 @@ class Place:
     def _touches_people(self, solids: Solids) -> bool:
         around = solids.corners.reshape(-1, 3)
         low, high = around.min(0) - BODY_CLEARANCE_M, around.max(0) + BODY_CLEARANCE_M
-        # One box around all first: most furniture is far from anybody.
+        # A bounding box first, since most furniture is far from all people.
         return box((low + high) / 2, (high - low) / 2).hold_any(self.points) and solids.grown(
             BODY_CLEARANCE_M
         ).hold_any(self.points)
 
     def stand(self, solids: Solids, footprint: Float[ndarray, "4 2"], clear_of_body: bool = True) -> bool:
-        """Put furniture there if it may stand there and no other does; ``footprint``: corners of its rectangle."""
+        """Place furniture if it may stand there and overlaps no other; ``footprint``: corners of its rectangle."""
         if any(_overlap(footprint, other) for other in self._footprints) or not self.accept(solids, clear_of_body):
             return False
         self._footprints.append(footprint)

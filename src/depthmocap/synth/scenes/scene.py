@@ -1,4 +1,4 @@
-"""What is around a person: a furnished room, things held and worn, a second person. All of it is background in labels.
+"""The surroundings of a person: a furnished room, held and worn objects, a second person. All are background.
 
 scene = random_scene(rng, person, cameras, FULL, make_person)
 background_m, material = render_scene(scene, cameras[0])
@@ -33,18 +33,18 @@ _TRIES = 6
 
 @dataclasses.dataclass(frozen=True)
 class SceneSettings:
-    """How often what is around the person. The numbers of the presets are our choice.
+    """Probabilities of a scene's parts. The numbers of the presets are our choice.
 
     Attributes:
         room: probability of a floor, walls and a ceiling.
-        furniture: fewest and most pieces; without a room they stand about the person alone.
-        hiding: share of the pieces that is put between a camera and the person, where there is a place.
+        furniture: least and largest number of pieces; without a room they stand around the person.
+        hiding: share of the pieces that are put between a camera and the person, where there is room.
         held_object: probability of something in the hands.
         worn_object: probability of something on the back, shoulder, belly or head.
         second_person: probability of another person.
         walls_m: distance of the walls from the person, wider where cameras stand farther.
         second_person_m: distance between the two persons' hips, wider where they would touch.
-        seen_by_one: share of the joints that nothing of the scene hides from at least one camera, at the least.
+        seen_by_one: least share of the joints that the scene does not hide from at least one camera.
         seen_by_each: the same for every camera.
     """
 
@@ -74,7 +74,7 @@ class SceneSettings:
 
 #: Nothing around the person, as in the paper.
 OFF = SceneSettings()
-#: For a network that is shown segmented people: what hides them and what clings to them.
+#: For a network that labels segmented people: objects that hide them or touch them.
 TRAINING = SceneSettings(furniture=(0, 2), hiding=1.0, held_object=0.25, worn_object=0.2, second_person=0.15)
 #: Whole pictures of furnished rooms, for segmentation and detection.
 FULL = SceneSettings(
@@ -85,12 +85,12 @@ SCENE_PRESETS = {"off": OFF, "training": TRAINING, "full": FULL}
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scene:
-    """What is around a person, in the world.
+    """The surroundings of a person, in the world.
 
     Attributes:
         shell: floor, walls and ceiling; empty without a room.
-        furniture: what stands in it or about the person.
-        objects: what the person holds or wears.
+        furniture: furniture in the room or around the person.
+        objects: objects that the person holds or wears.
         second: another person.
     """
 
@@ -105,7 +105,7 @@ class Scene:
         return join([self.shell, self.furniture, self.objects])
 
     def contains(self, eye: Float[ndarray, "3"]) -> bool:
-        """Whether a camera there is within the room; anywhere is without one."""
+        """Whether a camera there is inside the room; True without a room."""
         return not len(self.shell) or self.shell.hold_any(eye[None].astype(float))
 
 
@@ -169,7 +169,7 @@ def _place_second(
     floor_m: float,
     distance_m: tuple[float, float],
 ) -> PosedPerson | None:
-    """The other person beside the first on the same floor; nobody where a few tries find no place.
+    """The other person beside the first on the same floor; None where a few tries find no place.
 
     A plane between the two keeps them apart, so that they cannot touch in any posture."""
     hip = JOINT_INDEX["Hip"]
@@ -190,7 +190,7 @@ def _place_second(
 
 
 def _stand_in(joints: Float[ndarray, "18 3"]) -> Solids:
-    """Capsules along the bones, about as thick as a body, to find what it hides."""
+    """Capsules along the bones, about as thick as a body, to test what the body hides."""
     ends = np.array([(JOINT_INDEX[a], JOINT_INDEX[b]) for a, b in BONES])
     trunk = np.array(["Sp" in b or "Hip" in b or "Neck" in b for _, b in BONES])
     return capsules(joints[ends[:, 0]], joints[ends[:, 1]], np.where(trunk, 0.14, 0.07))

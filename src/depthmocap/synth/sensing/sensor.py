@@ -1,4 +1,4 @@
-"""What a real depth sensor does to a perfect depth image."""
+"""Errors of a real depth sensor, applied to an exact depth image."""
 
 from __future__ import annotations
 
@@ -29,36 +29,37 @@ from depthmocap.synth.render import Material
 
 @dataclasses.dataclass(frozen=True)
 class SensorModel:
-    """What a sensor does to an exact depth image. Left at its defaults, a model changes nothing.
+    """Errors of a depth sensor. With its defaults, a model changes nothing.
 
     Time of flight, structured light and stereo are different settings of the same terms
     (``depthmocap.synth.sensing.sensors`` has them for sensors that exist, with their sources).
 
     Attributes:
         range_m: nearest and farthest reading.
-        axial_m: the deviation of a reading is ``a + b z + c z²`` at z metres, of a fair surface that faces the sensor.
-        grazing: the deviation grows by this times tan² of the angle of incidence, up to 80°.
-        correlation: share of the variance that neighbours within a patch have in common.
-        patch_px: size of patches (the window that structured light and stereo match); 1 is every pixel for itself.
-        wave: deviation of a slow error, in deviations of the reading; ``wave_px`` is the length of its waves.
-        lateral_px: deviation of the place that a pixel looks at.
-        fatten_px: how far foreground spreads over what is behind it.
+        axial_m: standard deviation ``a + b z + c z²`` at z metres, of a bright surface that faces the sensor.
+        grazing: the standard deviation grows by this times tan² of the angle of incidence, up to 80°.
+        correlation: share of the variance that the pixels of a patch have in common.
+        patch_px: size of patches (the window that structured light and stereo match); 1 for independent pixels.
+        wave: standard deviation of a slowly varying error, in standard deviations of the reading; ``wave_px`` is its
+            wavelength.
+        lateral_px: standard deviation of the position that a pixel measures.
+        fatten_px: how far foreground spreads over the background.
         lost_px: how far from a silhouette pixels are lost, on its far and on its near side.
-        flying: share of pixels at a silhouette that float between its two sides; where nothing was drawn behind it
-            they float within ``behind_m``.
+        flying: share of flying pixels at a silhouette, between its two sides; without a background they lie within
+            ``behind_m``.
         blend: share of pixels at a silhouette before nothing that are averaged with 0, as interpolation does when
             pictures with invalid pixels are undistorted or registered.
-        multipath_m: a surface entirely surrounded by others that face it reads this much too far.
-        reach_m: distance at which a fair surface that faces the sensor is lost half of the time. The signal falls with
-            the distance squared, the cosine of the angle of incidence, the reflectance and the vignette.
-        reflectance: by material, 1 for fair ones. The deviation grows by one over its square root.
-        hole_spread: deviation of the signal's logarithm; ``hole_px`` is the size of holes, ``hole_dust`` the share of
-            the variance that every pixel has for itself.
+        multipath_m: error (too far) of a surface entirely surrounded by others that face it.
+        reach_m: distance at which half of the readings of a bright surface that faces the sensor are lost. The signal
+            falls with the distance squared, the cosine of the angle of incidence, the reflectance and the vignette.
+        reflectance: by material, 1 for bright ones. The standard deviation is divided by its square root.
+        hole_spread: standard deviation of the signal's logarithm; ``hole_px`` is the size of holes, ``hole_dust`` the
+            share of the variance that is independent for each pixel.
         vignette: share of the signal that is missing in the corners.
-        shadow_m: distance to the lamp, projector or second camera on the right (negative: on the left), whose shadows
-            are lost.
+        shadow_m: distance to the lamp, projector or second camera on the right (negative: on the left); pixels in its
+            shadow are lost.
         baseline_m: disparity is measured over this length, in steps of ``disparity_step_px`` (0 for none).
-        step_m: depth is counted in steps of this from ``step_from_m``, 0 for none.
+        step_m: depth is rounded to steps of this from ``step_from_m``, 0 for none.
     """
 
     range_m: tuple[float, float] = (0.0, np.inf)
@@ -113,10 +114,10 @@ def sense(
 ) -> Float[ndarray, "h w"]:
     """The depth image (metres, float32) as the sensor reads it; 0 is invalid before and after.
 
-    Work is done within the box of valid pixels only, and a pixel without depth never gets any.
+    Only the bounding box of the valid pixels is computed. A pixel without depth stays without depth.
 
     Args:
-        material: what each pixel shows (``render.Material``); without it every pixel is fair.
+        material: of each pixel (``render.Material``); without it all pixels are bright.
 
     Raises:
         InputError: when the image is not of the camera's size.
@@ -197,7 +198,7 @@ def _smooth_noise(shape: tuple[int, ...], model: SensorModel, seed: int) -> Floa
         if used[i]:
             smooth_noise(seed + 10 + i, cell, smooth[i])
     if used[3] and used[4]:
-        # Holes of two sizes: where matching is poor it is so over a wide area.
+        # Holes of two sizes, since matching is usually poor over a wide area.
         smooth[4] = np.sqrt(0.5) * (smooth[3] + smooth[4])
     return smooth
 
@@ -205,7 +206,7 @@ def _smooth_noise(shape: tuple[int, ...], model: SensorModel, seed: int) -> Floa
 def _with_margin(
     depth: Float[ndarray, "h w"], box: tuple[slice, slice], shape: tuple[int, ...]
 ) -> Float[ndarray, "h_out w_out"]:
-    """A box of a picture with a margin: nothing within the picture, and what is at its border beyond."""
+    """A box of a picture with a margin: 0 within the picture, the border's values beyond it."""
     wide = cv2.copyMakeBorder(depth, MARGIN, MARGIN, MARGIN, MARGIN, cv2.BORDER_REPLICATE)
     rows, columns = box
     if rows.start > 0:

@@ -35,7 +35,7 @@ _TITLES = ("exact", "as read", "difference, ±3 cm", "a silhouette, exact", "as 
 _DIFFERENCE_M = 0.03
 #: When the person of the demo's motion is shown.
 _TIME_S = 0.2
-#: Where cameras stand and what they look at, from the floor below the person (metres).
+#: Positions of the cameras and of the point they look at, relative to the floor below the person, metres.
 _EYE, _TARGET = np.array([0.5, -1.75, 1.25]), np.array([0.0, 0.0, 0.95])
 
 
@@ -124,7 +124,7 @@ def _window(mask: Bool[ndarray, "h w"], scale: float) -> tuple[slice, slice]:
 
 
 def _coloured(depth: Float[ndarray, "h w"], near_m: float, far_m: float) -> UInt8[ndarray, "h w 3"]:
-    """The person's depths in colour, red near and blue far; what is well behind is grey, what is invalid black."""
+    """The person's depths in colour, red near and blue far; far background is grey, invalid pixels are black."""
     level = np.clip((depth - near_m) / (far_m - near_m), 0, 1)
     turbo = cv2.applyColorMap((255 * (0.95 - 0.85 * level)).astype(np.uint8), cv2.COLORMAP_TURBO)[..., ::-1]
     grey = np.clip(130 - 25 * (depth - far_m), 60, 130).astype(np.uint8)

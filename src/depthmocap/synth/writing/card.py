@@ -1,4 +1,4 @@
-"""The data card of a generated set: what is in it, in numbers and pictures, from at most 1024 of its samples.
+"""The data card of a generated set: numbers and pictures from at most 1024 of its samples.
 
 Samples are drawn by index, so the card needs no notes from the run that made the set: it describes every 2ᵏ-th sample,
 those it passes while the set is made and, after an interruption, the others drawn once more. It is therefore the same
@@ -57,7 +57,7 @@ VIEW_COLUMNS = ("distance_m", "azimuth_deg", "elevation_deg", "person_px", "tall
 
 
 def describe(index: int, sample: Sample, samples: int) -> CardRow | None:
-    """The row of a sample of a set of so many, or None where the card leaves it out."""
+    """The card's row of a sample of a set of ``count``, None where the card leaves it out."""
     stride = card_stride(samples)
     if index % stride:
         return None

@@ -21,7 +21,7 @@ from depthmocap.synth.writing.workers import limit_threads
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
 
-#: A task whose worker or node died is given to others so many times.
+#: Largest number of attempts of a task whose workers or nodes die.
 _RETRIES = 5
 #: The address of a cluster on this machine that is started for the work, and ends with it.
 LOCAL = "local"
@@ -153,7 +153,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def _knock(address: str) -> None:
-    """Raises an ``OSError`` at once where nobody listens: Ray itself waits for minutes."""
+    """Raise an ``OSError`` at once where no server listens; Ray itself waits for minutes."""
     host, _, port = address.rpartition("://")[2].rpartition(":")
     if host and port.isdecimal():
         socket.create_connection((host, int(port)), timeout=10).close()

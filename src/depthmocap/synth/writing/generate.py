@@ -48,7 +48,7 @@ _PRESETS: dict[Preset, tuple[Literal["easy", "inter", "hard"], int]] = {
     "paper-hard": ("hard", 300_000),
 }
 _SPLITS = {"train": 0.8, "valid": 0.1, "test": 0.1}
-#: A process takes as long to start as it takes to make about so many samples.
+#: The start of a process takes about as long as this number of samples.
 _WORTH_A_WORKER = 100
 
 _Runner = Callable[[Iterable[Unit]], Generator[Made, None, None]]

@@ -17,8 +17,8 @@ def stream(
 ) -> Iterator[tuple[int, Sample]]:
     """Samples ``start`` to ``stop`` (None: without end) of a recipe with their indices, in order.
 
-    They are the same whatever ``workers`` is: 0 draws them here, more are processes that draw ``chunk`` samples at a
-    time and are at most two chunks each ahead of what has been taken. A program that uses workers must keep its own
+    They do not depend on ``workers``: 0 draws them in this process; more are processes that draw ``chunk`` samples at a
+    time, each at most two chunks ahead of the consumer. A program that uses workers must keep its own
     start under ``if __name__ == "__main__":``, as with any of Python's process pools. Closing the iterator, Ctrl-C and
     the end of this process end the workers at once.
 
@@ -45,7 +45,7 @@ def stream(
 
 
 def draw(recipe: Recipe, seed: int, index: int) -> Sample:
-    """One sample; what is needed to draw is loaded once a process.
+    """One sample; the models are loaded once per process.
 
     Raises:
         InputError: when no camera sees the person.

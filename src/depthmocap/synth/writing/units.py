@@ -1,4 +1,4 @@
-"""The pieces that a data set is made of, each by one process, and how they make a folder that can be gone on with."""
+"""Units of a data set: each is made by one process, and an interrupted folder can be continued."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Unit:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Made:
-    """What is told of a unit that has been made: rows of the card, and truths where they are not stored yet."""
+    """Result of a unit: rows of the data card, and the ground truth where it is not stored yet."""
 
     unit: Unit
     rows: tuple[CardRow, ...]

@@ -26,7 +26,7 @@ from depthmocap.errors import InputError
 _Task = TypeVar("_Task")
 _Result = TypeVar("_Result")
 
-#: A task whose process died is given to another one, so many times in a row.
+#: Largest number of attempts of a task whose processes die.
 _DEATHS = 3
 #: Threads and a lock of ours do not survive a fork.
 _CONTEXT = multiprocessing.get_context("spawn")
@@ -118,7 +118,7 @@ class _Worker(Generic[_Task]):
         theirs.close()
         # Python waits for its processes at the end, of whose signals it sends these hear none.
         Finalize(self, self._process.kill, exitpriority=1)
-        #: Number and task of what it has not answered.
+        #: Number and task that it has not answered.
         self.under_way: collections.deque[tuple[int, _Task]] = collections.deque()
 
     def give(self, number: int, task: _Task) -> None:
