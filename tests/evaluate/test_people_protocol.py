@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from depthmocap.evaluate.people_protocol import TrackingScore
-from depthmocap.evaluate.synthetic_scene import SceneFrame
+from depthmocap.evaluate.scenario_scene import SceneFrame
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import DepthCamera
 from depthmocap.segment.people_segmenter import PeopleSegmenter, PersonMasks

@@ -26,8 +26,8 @@ from depthmocap.core.locks import locks_outputs
 from depthmocap.core.output import check_outputs, write_json
 from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
+from depthmocap.evaluate.scenario_scene import ScenarioScene, SceneFrame
 from depthmocap.evaluate.scenarios import BesideFurniture, EmptyRoom, Meeting, Scenario, Visits
-from depthmocap.evaluate.synthetic_scene import SceneFrame, SyntheticScene
 from depthmocap.frames import FrameSet
 from depthmocap.offline.pipeline import Pipeline, Segmenter
 from depthmocap.pose.estimators import load_estimator
@@ -123,7 +123,7 @@ def evaluate_people(settings: PeopleEvaluation, console: Console | None = None) 
     for kind, scenario, backgrounds in _scenarios(settings):
         scores = {background: TrackingScore() for background in backgrounds}
         for index in range(settings.scenes):
-            scene = SyntheticScene(rng, scenario, settings.cameras, settings.rate_hz)
+            scene = ScenarioScene(rng, scenario, settings.cameras, settings.rate_hz)
             for background, score in scores.items():
                 known = scene.backgrounds_m if background == "known" else {}
                 score.start_scene(PeopleSegmenter(known, people=max(scene.count, 1)), scene.count)
@@ -281,7 +281,7 @@ def visible_surface_m2(frames: FrameSet, masks: Masks) -> float:
 class FirstPersonErrors:
     """Joint errors of the first person by method of segmentation; nothing is smoothed."""
 
-    def __init__(self, scene: SyntheticScene) -> None:
+    def __init__(self, scene: ScenarioScene) -> None:
         classifier, estimator = Classifier(), load_estimator()
         segmenters: dict[str, Segmenter] = {
             "with true masks": _TrueMasks(),

@@ -68,7 +68,7 @@ def make_sources(name: str, request: ModeRequest, playback_clock: PlaybackClock)
     """The camera of this name of a new scene, or all its cameras.
 
     Raises:
-        CameraError: when there is none of this name, or it has not what is wanted.
+        CameraError: when no camera has this name, or it lacks the requested mode.
     """
     from depthmocap.synth.demo_scene import FPS, demo_rig
 
@@ -77,11 +77,11 @@ def make_sources(name: str, request: ModeRequest, playback_clock: PlaybackClock)
     if name and name not in rig.names:
         raise _no_camera(name, rig)
     rate = 0
-    for camera in (rig[each] for each in names):
+    for camera in (rig[camera_name] for camera_name in names):
         modes = [Mode(camera.width, camera.height, fps) for fps in RATES]
         rate = modes[request.choose(camera.name, modes, default_fps=round(FPS))].fps
     scene = SyntheticScene(fps=rate)
-    return [SyntheticCamera(scene, each, playback_clock) for each in names]
+    return [SyntheticCamera(scene, camera_name, playback_clock) for camera_name in names]
 
 
 def _no_camera(name: str, rig: Rig) -> CameraError:

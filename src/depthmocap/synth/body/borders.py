@@ -45,20 +45,20 @@ class RegionMesh:
 def cut_along_borders(
     vertices: Float[ndarray, "v 3"], faces: Int[ndarray, "f 3"], regions: UInt8[ndarray, "f"]
 ) -> RegionMesh:
-    """The mesh with smooth borders about where those between the faces' ``regions`` are."""
+    """The mesh with smooth borders close to those between the faces' ``regions``."""
     shares = _shares(vertices, faces, regions)
-    own = shares.argmax(1)
+    strongest = shares.argmax(1)
     a, b = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1).T
     ends, edge_of_side = np.unique(np.stack([a, b], 1), axis=0, return_inverse=True)
     a, b = ends.T
-    is_cut = own[a] != own[b]
+    is_cut = strongest[a] != strongest[b]
     a, b = a[is_cut], b[is_cut]
-    # By how much the first end's region is ahead of the other's, at either end.
-    ahead_a = shares[a, own[a]] - shares[a, own[b]]
-    ahead_b = shares[b, own[a]] - shares[b, own[b]]
+    # At either end, the lead of the first end's region over the other's.
+    ahead_a = shares[a, strongest[a]] - shares[a, strongest[b]]
+    ahead_b = shares[b, strongest[a]] - shares[b, strongest[b]]
     cut = np.full(len(ends), -1)
     cut[is_cut] = len(vertices) + np.arange(len(a))
-    pieces, piece_regions = _pieces(faces, own, cut[edge_of_side.reshape(-1, 3)], shares)
+    pieces, piece_regions = _pieces(faces, strongest, cut[edge_of_side.reshape(-1, 3)], shares)
     return RegionMesh(
         np.stack([a, b], 1).astype(np.int32),
         np.clip(ahead_a / (ahead_a - ahead_b), 0.02, 0.98).astype(np.float32),
@@ -70,7 +70,7 @@ def cut_along_borders(
 def _shares(
     vertices: Float[ndarray, "v 3"], faces: Int[ndarray, "f 3"], regions: UInt8[ndarray, "f"]
 ) -> Float[ndarray, "v r"]:
-    """How much of every region is around a vertex: areas of faces, weighed by a Gaussian of their distance."""
+    """Share of each region around a vertex: areas of faces, weighted with a Gaussian of their distance."""
     corners = vertices[faces].astype(np.float64)
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     used, row = np.unique(faces, return_inverse=True)  # a model may have vertices that no face has
@@ -89,23 +89,23 @@ def _shares(
 
 
 def _pieces(
-    faces: Int[ndarray, "f 3"], own: Int[ndarray, "v"], cuts: Int[ndarray, "f 3"], shares: Float[ndarray, "v r"]
+    faces: Int[ndarray, "f 3"], strongest: Int[ndarray, "v"], cuts: Int[ndarray, "f 3"], shares: Float[ndarray, "v r"]
 ) -> tuple[Int[ndarray, "g 3"], Int[ndarray, "g"]]:
     """Triangles and their regions; ``cuts`` are the points on the sides 0–1, 1–2 and 2–0 of a face, −1 for none."""
-    many = (cuts >= 0).sum(1)
-    whole, thirds = many == 0, many == 3
-    found = [(faces[whole], own[faces[whole, 0]])]
+    cut_count = (cuts >= 0).sum(1)
+    whole, thirds = cut_count == 0, cut_count == 3
+    pieces = [(faces[whole], strongest[faces[whole, 0]])]
     for lone in range(3):
         # One corner differs from the other two: a triangle at it, and two that fill the rest.
-        of = (many == 2) & (cuts[:, (lone + 1) % 3] < 0)
+        of = (cut_count == 2) & (cuts[:, (lone + 1) % 3] < 0)
         first, second, third = (faces[of, (lone + i) % 3] for i in range(3))
         out, back = cuts[of, lone], cuts[of, (lone + 2) % 3]
-        found.append((np.stack([first, out, back], 1), own[first]))
-        found.append((np.stack([out, second, third], 1), own[second]))
-        found.append((np.stack([out, third, back], 1), own[second]))
+        pieces.append((np.stack([first, out, back], 1), strongest[first]))
+        pieces.append((np.stack([out, second, third], 1), strongest[second]))
+        pieces.append((np.stack([out, third, back], 1), strongest[second]))
         # Three regions meet: one at each corner, and the middle is of whichever has most there.
         corner = faces[thirds, lone]
-        found.append((np.stack([corner, cuts[thirds, lone], cuts[thirds, (lone + 2) % 3]], 1), own[corner]))
-    found.append((cuts[thirds], shares[faces[thirds]].mean(1).argmax(1)))
-    triangles, regions = zip(*found, strict=True)
+        pieces.append((np.stack([corner, cuts[thirds, lone], cuts[thirds, (lone + 2) % 3]], 1), strongest[corner]))
+    pieces.append((cuts[thirds], shares[faces[thirds]].mean(1).argmax(1)))
+    triangles, regions = zip(*pieces, strict=True)
     return np.concatenate(triangles), np.concatenate(regions)

@@ -54,15 +54,15 @@ class Cover:
         ends = joint_positions(postures).astype(np.float32)
         before, start = self.count, 0
         while start < len(postures):
-            kept = np.zeros(len(postures) - start, dtype=bool)
+            is_kept = np.zeros(len(postures) - start, dtype=bool)
             most = self.capacity if limit is None else min(limit, self.capacity)
             first = self.count
-            self.count, seen = grow_cover(
-                ends[start:], self.radius_m, self._ends, first, self._table, self._following, kept, most
+            self.count, read = grow_cover(
+                ends[start:], self.radius_m, self._ends, first, self._table, self._following, is_kept, most
             )
-            self._postures[first : self.count] = postures[start:][kept]
-            self._tags[first : self.count] = tags[start:][kept]
-            start += seen
+            self._postures[first : self.count] = postures[start:][is_kept]
+            self._tags[first : self.count] = tags[start:][is_kept]
+            start += read
             if start < len(postures):
                 if limit is not None:
                     break

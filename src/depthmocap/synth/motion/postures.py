@@ -193,13 +193,13 @@ def _vary(posture: Float[ndarray, "20 3"], variation: Variation, rng: np.random.
     if rng.random() < variation.mirror:
         posture = mirror_posture(posture)
     posture = posture + rng.normal(0, variation.noise_rad, posture.shape)
-    # By generators of their own, so that nothing else of a seed's people depends on these.
+    # Each change has its own generator, so that the rest of a seed's people does not depend on it.
     go_beyond = functools.partial(beyond_recorded, family=variation.family)
     changes = ((variation.sit, seated), (variation.touch, hands_on_body), (variation.beyond, go_beyond))
     for share, change in changes:
-        (own,) = rng.spawn(1)
-        if own.random() < share:
-            posture = change(posture, own)
+        (change_rng,) = rng.spawn(1)
+        if change_rng.random() < share:
+            posture = change(posture, change_rng)
     if variation.tilt > 0 and rng.random() < variation.tilt:
         side, angle = rng.uniform(-np.pi, np.pi), rng.uniform(0, np.pi)
         tilt = Rotation.from_rotvec([angle * np.cos(side), angle * np.sin(side), 0])
@@ -234,8 +234,8 @@ class PosturePrior:
         """
         source = path or Path(str(importlib.resources.files("depthmocap.synth.motion") / "posture_prior.npz"))
         try:
-            arrays = {name: each.astype(np.float64) for name, each in read_npz(source, _PRIOR).items()}
-            if not all(np.isfinite(each).all() for each in arrays.values()):
+            arrays = {name: array.astype(np.float64) for name, array in read_npz(source, _PRIOR).items()}
+            if not all(np.isfinite(array).all() for array in arrays.values()):
                 raise InputError("a number in it is not finite")
             if any((arrays[name] < 0).any() or arrays[name].sum() <= 0 for name in ("weights", "simple_weights")):
                 raise InputError("its weights must be at least 0, and one above")

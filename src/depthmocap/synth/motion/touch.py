@@ -73,7 +73,7 @@ class Skin:
         places = [np.array([REGION[name] for name in names]) for _, names in _PLACES]
         #: Triangles of every place, for the hand of a side; of the back those that face backwards, not the flanks.
         self.faces = {
-            side: [np.flatnonzero(np.isin(regions, MIRROR[own] if side == "L" else own)) for own in places]
+            side: [np.flatnonzero(np.isin(regions, MIRROR[place] if side == "L" else place)) for place in places]
             for side in "RL"
         }
         for faces in self.faces.values():

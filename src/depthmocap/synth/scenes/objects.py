@@ -29,10 +29,10 @@ TRIES = 5
 @functools.lru_cache(maxsize=32)
 def vertices_of(model: BodyModel, kinds: tuple[str, ...], side: str = "") -> Bool[ndarray, "v"]:
     """Vertices of the regions of these kinds, of one side ("R", "L") or both."""
-    chosen = np.array([n.removesuffix(" R").removesuffix(" L") in kinds and n.endswith(side) for n in REGION_NAMES])
-    found = np.zeros(int(model.faces.max()) + 1, dtype=np.bool_)
-    found[model.faces[chosen[model.face_regions]]] = True
-    return found
+    of_kind = np.array([n.removesuffix(" R").removesuffix(" L") in kinds and n.endswith(side) for n in REGION_NAMES])
+    mask = np.zeros(int(model.faces.max()) + 1, dtype=np.bool_)
+    mask[model.faces[of_kind[model.face_regions]]] = True
+    return mask
 
 
 _ARM = ("hand", "wrist", "forearm")

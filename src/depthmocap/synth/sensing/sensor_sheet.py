@@ -77,8 +77,8 @@ def sensor_sheet(path: Path, seed: int = 0) -> None:
     figure = Figure(figsize=(14, 1.5 * rows), dpi=100, layout="constrained", facecolor="white")
     canvas = FigureCanvasAgg(figure)
     axes = figure.subplots(rows, blocks * len(_TITLES), squeeze=False)
-    for each in axes.flat:
-        each.set_axis_off()
+    for axis in axes.flat:
+        axis.set_axis_off()
     for i, name in enumerate(SHOWN):
         row, first = i % rows, i // rows * len(_TITLES)
         pictures = _pictures(person, SENSORS[name], np.random.default_rng([seed, i]))

@@ -255,10 +255,10 @@ def random_model(rng: np.random.Generator, preset: SensorPreset) -> SensorModel:
     # Not all drivers remove the pixels that float at silhouettes.
     raw = model.flying > 0 and rng.random() < 0.3
     flying = rng.uniform(0.1, 0.5) if raw else model.flying * times(3.0)
-    lost = tuple(each * times(2.0) * (0.4 if raw else 1.0) for each in model.lost_px)
+    lost = tuple(value * times(2.0) * (0.4 if raw else 1.0) for value in model.lost_px)
     return dataclasses.replace(
         model,
-        axial_m=tuple(strength * each for each in model.axial_m),
+        axial_m=tuple(strength * value for value in model.axial_m),
         grazing=model.grazing * times(2.0),
         wave=model.wave * times(2.0),
         patch_px=max(model.patch_px * times(1.5), 1.0),
@@ -270,7 +270,7 @@ def random_model(rng: np.random.Generator, preset: SensorPreset) -> SensorModel:
         blend=float(rng.uniform(0.2, 0.7)) if rng.random() < 0.2 else 0.0,
         multipath_m=model.multipath_m * times(3.0),
         reach_m=model.reach_m * times(1.6),
-        reflectance=tuple(float(each) for each in reflectance),
+        reflectance=tuple(float(value) for value in reflectance),
         hole_spread=model.hole_spread * times(1.5),
         hole_px=max(model.hole_px * times(2.0), 1.0),
         vignette=float(model.vignette * rng.uniform(0, 1)),

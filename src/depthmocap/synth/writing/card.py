@@ -128,7 +128,7 @@ def posture_kinds(joints: Float[ndarray, "n 18 3"]) -> Int[ndarray, "n"]:
 def _normalised(joints: Float[ndarray, "n 18 3"]) -> Float[ndarray, "n 18 3"]:
     """Skeletons about the pelvis, without their heading."""
     centred = joints - joints[:, JOINT_INDEX["Hip"], None]
-    facing = np.stack([_facing(each) for each in joints])
+    facing = np.stack([_facing(skeleton) for skeleton in joints])
     turned = np.stack([centred[..., 0] * -facing[:, 1, None] + centred[..., 1] * facing[:, 0, None],
                        centred[..., 0] * facing[:, 0, None] + centred[..., 1] * facing[:, 1, None],
                        centred[..., 2]], -1)  # fmt: skip

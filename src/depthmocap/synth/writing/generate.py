@@ -132,10 +132,10 @@ def _make_set(settings: SynthSettings, cluster: RayCluster | None, console: Cons
     recipe = settings.recipe
     folder = settings.out / f"{recipe.subset}-pose" / recipe.split
     try:
-        with lock_folder(folder):
-            if not (folder / "settings.json").exists() and (found := _others(folder)):
+        with own_folder(folder):
+            if not (folder / "settings.json").exists() and (others := _others(folder)):
                 raise InputError(
-                    f"{folder} holds files of something else ({', '.join(found[:3])}) and no settings.json: "
+                    f"{folder} holds files of something else ({', '.join(others[:3])}) and no settings.json: "
                     "choose another --out or empty it"
                 )
             identity = _claim(folder, settings)
@@ -175,16 +175,16 @@ def _claim(folder: Path, settings: SynthSettings) -> str:
         "version": __version__,
     }
     text = json.dumps(plain, indent=1, default=str) + "\n"
-    wanted = json.loads(text)
+    settings_now = json.loads(text)
     path = folder / "settings.json"
     if _others(folder):
-        flat = [_flat(read_settings(path, "the set")), _flat(wanted)]
+        flat = [_flat(read_settings(path, "the set")), _flat(settings_now)]
         changed = sorted(key for key in {*flat[0], *flat[1]} if flat[0].get(key) != flat[1].get(key))
         if changed:
             raise InputError(f"{folder} was made with other settings ({', '.join(changed)}): choose another --out")
     else:
         write_file(path, text)
-    return hashlib.sha256(json.dumps(wanted, sort_keys=True).encode()).hexdigest()[:16]
+    return hashlib.sha256(json.dumps(settings_now, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _flat(settings: dict[str, Any]) -> dict[str, Any]:

@@ -78,18 +78,18 @@ def _parse_asf(text: str) -> AsfSkeleton:
     if "root" in parents:
         raise ValueError("the root hangs from another bone")
     order = ["root"]
-    for name in order:  # grows while it is walked
+    for name in order:  # grows during the iteration
         order += [child for child, parent in parents.items() if parent == name]
     if missing := (set(order) - set(bones)) | (set(bones) - set(order)):
         raise ValueError(f"bone {min(missing)} is not in both :bonedata and :hierarchy")
-    with np.errstate(over="ignore", invalid="ignore"):  # who takes postures of it sees to lengths
+    with np.errstate(over="ignore", invalid="ignore"):  # the retargeting checks the lengths
         vectors = {
             name: np.array(bone["direction"], dtype=float) * float(bone["length"][0]) for name, bone in bones.items()
         }
     channels = [tuple(word.upper() for word in bones[name].get("dof", [])) for name in order]
-    if unknown := {channel for each in channels for channel in each} - _KNOWN_CHANNELS:
+    if unknown := {channel for names in channels for channel in names} - _KNOWN_CHANNELS:
         raise ValueError(f"channel {min(unknown)} is not known")
-    if any(len(set(each)) < len(each) for each in channels):
+    if any(len(set(names)) < len(names) for names in channels):
         raise ValueError("a bone has a channel twice")
     units = {words[0]: words[1] for words in sections.get("units", []) if len(words) > 1}
     degrees = units.get("angle", "deg") != "rad"

@@ -70,9 +70,9 @@ def retarget(
     Raises:
         InputError: when a limb has no length, or the skeleton a number that is not finite.
     """
-    # The tip of a limb that cannot be is as good as none; a joint that cannot be is not.
+    # An impossible tip of a limb counts as none; an impossible joint is an error.
     motion = dataclasses.replace(motion, ends=np.where(_possible(motion.ends)[:, None], motion.ends, 0.0))
-    if not all(np.abs(each).max() < _FARTHEST for each in (motion.offsets, motion.rotations)):
+    if not all(np.abs(array).max() < _FARTHEST for array in (motion.offsets, motion.rotations)):
         raise InputError("its skeleton has a number that is not finite, or no length that can be")
     tails = {bone: _tail(motion, skeleton, bone) for bone in skeleton.joints if bone.partition(".")[0] in _AIMS}
     for bone, tail in tails.items():

@@ -203,26 +203,26 @@ def _guess(motion: Motion, plain: list[str]) -> dict[str, int]:
 def _guess_limb(
     motion: Motion,
     words: list[frozenset[str]],
-    wanted: tuple[frozenset[str], frozenset[str], frozenset[str]],
+    name_parts: tuple[frozenset[str], frozenset[str], frozenset[str]],
     chain: list[str],
     joints: dict[str, int],
 ) -> None:
     """Bones of one limb from its end: the joint named so and those above it, as far as they carry the side."""
-    sides, last, fallback = wanted
-    mine = [bool(name & sides) and not name & _HELPERS for name in words]
+    sides, last, fallback = name_parts
+    of_side = [bool(name & sides) and not name & _HELPERS for name in words]
     for parts, bones in ((last, chain), (fallback, chain[1:])):
-        ends = [i for i, name in enumerate(words) if mine[i] and name & parts]
+        ends = [i for i, name in enumerate(words) if of_side[i] and name & parts]
         if not ends:
             continue
         joint = min(ends, key=lambda i: len(motion.ancestors(i)))
-        found = [joint]
+        limb = [joint]
         for above in motion.ancestors(joint)[1:]:
             # A joint of no length to the next (as the hip joints of some files) turns nothing of its own.
-            if mine[above] and (motion.offsets[found[-1]] ** 2).sum() > 1e-12:
-                found.append(above)
-            elif not mine[above] and not words[above] & _HELPERS:
+            if of_side[above] and (motion.offsets[limb[-1]] ** 2).sum() > 1e-12:
+                limb.append(above)
+            elif not of_side[above] and not words[above] & _HELPERS:
                 break
-        joints.update(zip(bones, found, strict=False))
+        joints.update(zip(bones, limb, strict=False))
         return
 
 

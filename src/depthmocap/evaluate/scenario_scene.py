@@ -36,7 +36,7 @@ class SceneFrame:
     joints: tuple[Float[ndarray, "18 3"], ...]
 
 
-class SyntheticScene:
+class ScenarioScene:
     """A random scene: cameras, people and their trajectories.
 
     Attributes:
