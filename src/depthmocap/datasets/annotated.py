@@ -1,4 +1,4 @@
-"""What every data set of real people with known joints gives to the evaluation, whatever its files are."""
+"""The interface of data sets of real people with known joints, for all file formats."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from depthmocap.geometry import transform_points
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AnnotatedFrame:
-    """Views of one instant and the joints, in the set's own order (``AnnotatedSet.joints``).
+    """Views at one time and the joints, in the order of ``AnnotatedSet.joints``.
 
     Attributes:
-        views: every one with a mask of the person where the set knows it; without one all valid depth is the person's.
+        views: with a mask of the person where the set has one; without a mask all valid depth is the person's.
         joints_world: metres in the world of the cameras, NaN where unknown.
-        subject: who is seen.
-        action: what they do, or the sequence's name.
-        frame: its number in the sequence.
+        subject: the person.
+        action: the action, or the name of the sequence.
+        frame: number of the frame in the sequence.
     """
 
     views: tuple[View, ...]
@@ -35,11 +35,11 @@ class AnnotatedFrame:
 
 @runtime_checkable
 class AnnotatedSet(Protocol):
-    """A data set, or a part of one; frames are read from disk as they are asked for."""
+    """A data set, or a part of one; iteration reads the frames from disk."""
 
     @property
     def name(self) -> str:
-        """As shown in tables."""
+        """Name in tables."""
         ...
 
     @property
@@ -59,7 +59,7 @@ class AnnotatedSet(Protocol):
 
     @property
     def fps(self) -> float | None:
-        """Frames a second; None where frames do not follow each other."""
+        """Frames per second; None where frames are not consecutive."""
         ...
 
     @property
@@ -70,14 +70,14 @@ class AnnotatedSet(Protocol):
     def __iter__(self) -> Iterator[AnnotatedFrame]: ...
 
 
-#: How far the body reaches beyond its joints: hands, feet, the top of the head (metres).
+#: How far the body extends beyond its joints (hands, feet, the top of the head), metres.
 REACH_M = 0.3
 
 
 def near_joints(view: View, joints_world: Float[ndarray, "j 3"]) -> Bool[ndarray, "h w"]:
-    """Pixels within ``REACH_M`` of the box around the known joints, along the camera's axes: a mask for sets without
-    one. It takes the place of a person detector, as the boxes do that others crop by the truth; none where no joint
-    is known."""
+    """Mask for sets without one: pixels within ``REACH_M`` of the box around the known joints, along the camera's axes;
+    empty where no joint is known. It replaces a person detector, like crops by the ground truth elsewhere in the
+    field."""
     joints = transform_points(view.camera.camera_from_world, joints_world[np.isfinite(joints_world).all(1)])
     if not len(joints):
         return np.zeros(view.depth_m.shape, bool)

@@ -1,7 +1,7 @@
-"""Where the joints of a BVH file are, ends of limbs included, in the file's own axes and unit of length.
+"""Joint positions of a BVH file, with the ends of limbs, in the file's own axes and unit of length.
 
-Data sets that ship motion capture as BVH mean these places. (``synth.motion.clips`` reads rotations of BVH files, for
-retargeting; it keeps neither the root's path nor the ends.)
+They are the ground truth of data sets with motion capture as BVH. (``synth.motion.clips`` reads rotations of BVH files,
+for retargeting, without the ends of limbs.)
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from depthmocap.core.reading.input_files import read_text
 from depthmocap.errors import InputError
 
 _POSITIONS = ("Xposition", "Yposition", "Zposition")
-#: Numbers beyond this are none of a skeleton.
+#: Larger numbers are not those of a skeleton.
 _LARGEST = 1e12
 
 
@@ -48,7 +48,8 @@ class BvhJoints:
     frame_time_s: float
 
     def positions(self, frames: Integer[ndarray, "k"] | None = None) -> Float[ndarray, "_ j 3"]:
-        """Places of all joints and ends in some frames (by default all): the root at its offset plus its position."""
+        """Positions of all joints and ends in some frames (by default all). The root is at its offset plus its
+        position."""
         values = self.values if frames is None else self.values[frames]
         skeleton, column = self.skeleton, 0
         places = np.zeros((len(values), len(skeleton.names), 3))
@@ -129,13 +130,13 @@ def _hierarchy(words: list[str]) -> BvhSkeleton:
             at += 4
         elif word == "CHANNELS":
             count = int(words[at + 1])
-            found = tuple(words[at + 2 : at + 2 + count])
+            names_read = tuple(words[at + 2 : at + 2 + count])
             allowed = {f"{axis}rotation" for axis in "XYZ"} | (set(_POSITIONS) if parents[-1] < 0 else set())
-            if unknown := set(found) - allowed:
+            if unknown := set(names_read) - allowed:
                 raise ValueError(f"channel {min(unknown)!r} of {names[-1]} is none that can be read")
-            if len(set(found)) < len(found):
+            if len(set(names_read)) < len(names_read):
                 raise ValueError(f"{names[-1]} has a channel twice")
-            channels[-1] = found
+            channels[-1] = names_read
             at += 2 + count
         else:
             if word == "}":

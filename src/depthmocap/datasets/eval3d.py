@@ -2,8 +2,8 @@
 
 A sequence is a file ``seq_<person>_<number>.bin`` of equal records, little endian: a magic number and the frame's; a
 cloud of 240 × 320 points in the order of the sensor's pixels, metres; up to 32 markers and up to 32 joints, each joint
-an id and a point. The set does not tell its camera: it follows from the cloud, whose pixels are known, together with
-the directions of its axes.
+an id and a point. The set has no calibration: intrinsics and the directions of
+the axes follow from the cloud, whose pixels are known.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ from depthmocap.geometry import DepthCamera
 from depthmocap.segment.static_scene import PersonSegmenter
 from depthmocap.text import joined
 
-#: How the person is told from the room: by what stands still in the sequence, by a box around the true joints, or not.
+#: Segmentation of the person: by the sequence's background, by a box around the true joints, or none.
 Mask = Literal["background", "box", "all"]
 
 WIDTH, HEIGHT = 320, 240
+#: Joints or markers of a record, at most.
 _MOST = 32
 RECORD = np.dtype(
     [
@@ -41,8 +42,10 @@ RECORD = np.dtype(
         ("joint_count", "<i4"), ("joints", [("id", "<i4"), ("at", "<f4", 3)], _MOST),
     ]
 )  # fmt: skip
-#: Pixels by which points may lie off the fitted camera's rays (median); fewest points to fit it to.
-_OFF_PX, _FEWEST = 1.0, 1000
+#: Largest median distance of the points from the fitted camera's rays, pixels.
+_OFF_PX = 1.0
+#: Least number of points to fit the camera to.
+_FEWEST = 1000
 
 
 def joint_table(path: Path) -> dict[int, str]:
@@ -65,8 +68,8 @@ class Eval:
     """The frames of all sequences of a folder; see ``AnnotatedSet``. Subjects and actions are by the files' names.
 
     Args:
-        names: of joint ids (see :func:`joint_table`); names that are of ours correspond to them. Without it joints are
-            called by their id, and none is known to correspond to ours.
+        names: names of joint ids (see :func:`joint_table`); a name of one of our joints makes the two correspond.
+            Without it joints are named by their ids, and none corresponds to ours.
         mask: see :data:`Mask`.
     """
 
@@ -170,7 +173,7 @@ class _Sequence(FrameSource):
         return FrameSet(row, (self.view(row),) if self.whole(row) else ())
 
     def whole(self, row: int) -> bool:
-        """Whether a record's numbers can be right."""
+        """Whether a record's numbers are plausible."""
         record = self._records[row]
         return int(record["magic"]) == self._magic and 0 <= int(record["joint_count"]) <= _MOST
 
@@ -187,12 +190,12 @@ class _Sequence(FrameSource):
         """Joints of these ids in the camera's frame, NaN where the record has none."""
         record = self._records[row]
         points = np.full((len(ids), 3), np.nan)
-        given = self._joint_ids(row)
+        record_ids = self._joint_ids(row)
         for i, number in enumerate(ids):
-            rows = np.flatnonzero(given == number)
+            rows = np.flatnonzero(record_ids == number)
             if len(rows):
                 points[i] = record["joints"]["at"][rows[0]] * self._axes
-        # A joint at the camera itself is one that was not tracked.
+        # A joint at the camera's position was not tracked.
         points[~np.isfinite(points).all(1) | (points == 0).all(1)] = np.nan
         return points
 
@@ -209,7 +212,7 @@ def _pixels() -> tuple[ndarray, ndarray]:
 
 def _camera(path: Path, points: Float[ndarray, "h w 3"]) -> tuple[Float[ndarray, "3"], DepthCamera]:
     """Signs of the cloud's axes against the camera's (x right, y down, z forward), and the camera that projects every
-    point to its own pixel: by least squares, ``u = fx x / z + cx`` and alike for ``v``.
+    point to its own pixel: by least squares, ``u = fx x / z + cx`` and the same for ``v``.
 
     Raises:
         InputError: when the points are not those of a camera's pixels, row by row.
@@ -224,9 +227,9 @@ def _camera(path: Path, points: Float[ndarray, "h w 3"]) -> tuple[Float[ndarray,
     for across, pixel in zip((x, y), _pixels(), strict=True):
         ray = across / (z * forward)
         focal, centre = np.polyfit(ray, pixel[valid], 1) if np.ptp(ray) > 0 else (0.0, 0.0)
-        off = float(np.median(np.abs(ray * focal + centre - pixel[valid])))
-        if off > _OFF_PX or not focal:
-            raise InputError(f"{fault}: points are {off:.0f} pixels off")
+        off_px = float(np.median(np.abs(ray * focal + centre - pixel[valid])))
+        if off_px > _OFF_PX or not focal:
+            raise InputError(f"{fault}: points are {off_px:.0f} pixels off")
         fits.append((focal, centre))
     (fx, cx), (fy, cy) = fits
     axes = np.array([np.sign(fx), np.sign(fy), forward])

@@ -29,7 +29,7 @@ from depthmocap.geometry.depth_camera import LARGEST_RIG_M
 
 Side = Literal["side", "top"]
 Split = Literal["train", "test"]
-#: How the person is told from the room: by the set's segmentation, or by a box around the true joints.
+#: Segmentation of the person: the set's own, or a box around the true joints.
 Mask = Literal["segmentation", "box"]
 
 JOINTS: tuple[str, ...] = (
@@ -38,18 +38,22 @@ JOINTS: tuple[str, ...] = (
 )  # fmt: skip
 #: Our joint for each of them.
 CORRESPONDENCE: dict[str, str] = {joint: "Spine1" if joint == "Torso" else joint for joint in JOINTS}
-#: The parts that are reported apart.
+#: Parts of the body that are reported separately.
 PARTS: dict[str, tuple[str, ...]] = {"upper body": JOINTS[:8], "lower body": JOINTS[8:]}
 
 WIDTH, HEIGHT = 320, 240
 _FOCAL = 1 / 0.0035
-#: Rows of a file and bytes of its chunks, which are unpacked as a whole; and digits of a frame's number.
-_MOST_FRAMES, _LARGEST_CHUNK, _DIGITS = 1_000_000, 1 << 28, 16
-#: Frames a second of the videos that frames were taken from.
+#: Rows of a file, at most.
+_MOST_FRAMES = 1_000_000
+#: Largest chunk of a file, bytes; chunks are unpacked as a whole.
+_LARGEST_CHUNK = 1 << 28
+#: Digits of a frame's number, at most.
+_DIGITS = 16
+#: Frames per second of the videos that the frames come from.
 FPS = 30.0
 #: From ITOP's axes to the camera's: y is down.
 _CAMERA_FROM_ITOP = np.diag([1.0, -1.0, 1.0, 1.0])
-#: A camera above looks down; one at the side is taken as level. Columns: the camera's axes in the world.
+#: The camera above looks down; the one at the side is assumed level. Columns: the camera's axes in the world.
 _WORLD_FROM_CAMERA = {"top": np.diag([1.0, -1.0, -1.0, 1.0]), "side": np.eye(4)}
 _UP = {"top": "z", "side": "-y"}
 
@@ -60,9 +64,8 @@ def camera(view: Side) -> DepthCamera:
 
 
 class Itop:
-    """The valid frames of one view and split; see ``AnnotatedSet``. Others have no joints that were checked by hand.
-
-    Frames are read from disk as they are asked for.
+    """The valid frames of one view and split; see ``AnnotatedSet``. Only their joints
+    were checked by hand. Iteration reads the frames from disk.
     """
 
     def __init__(self, root: Path, view: Side = "side", split: Split = "test", mask: Mask = "segmentation") -> None:
@@ -119,7 +122,7 @@ class Itop:
             yield AnnotatedFrame(views, joints, frame.person, "", frame.number)
 
     def _view(self, frame: _Frame, joints_world: Float[ndarray, "15 3"]) -> View:
-        with np.errstate(over="ignore"):  # what is too far away for 32 bits is infinitely far
+        with np.errstate(over="ignore"):  # distances beyond 32 bits become infinite
             depth_m = _read(self._depth_path, self._depth, frame.depth_row).astype(np.float32)
         view = View(self._camera, np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.float32(0)))
         if self._mask == "box":
@@ -132,13 +135,13 @@ class Itop:
 
     def _joints_world(self, row: int) -> Float[ndarray, "15 3"]:
         joints = self._joints[row]
-        # A joint at the camera itself is one that was not marked, and one that is nowhere near it is none.
-        marked = (np.abs(joints) > 0).any(1) & (np.abs(joints) < LARGEST_RIG_M).all(1)
+        # A joint at the camera's position was not marked; one very far away is an error.
+        marked = (np.abs(joints) > 0).any(1) & (np.abs(joints) < FURTHEST_M).all(1)
         joints = np.where(marked[:, None], joints, np.nan)
         return transform_points(self._camera.world_from_camera @ _CAMERA_FROM_ITOP, joints)
 
     def _match(self, valid: ndarray) -> list[_Frame]:
-        """Valid frames whose depth map is there, by id."""
+        """Valid frames with a depth map, matched by id."""
         depth_ids, label_ids = _ids(self._depth_file, self._depth_path), _ids(self._labels_file, self._labels_path)
         if len(depth_ids) != len(self._depth):
             raise InputError(f"{self._depth_path}: id and data differ in length")
@@ -147,15 +150,15 @@ class Itop:
                 f"{self._labels_path}: id, is_valid, real_world_coordinates and segmentation differ in length"
             )
         depth_rows = {name: row for row, name in enumerate(depth_ids)}
-        wanted = [(row, name) for row, name in enumerate(label_ids) if valid[row]]
-        absent = [name for _, name in wanted if name not in depth_rows]
+        valid_rows = [(row, name) for row, name in enumerate(label_ids) if valid[row]]
+        absent = [name for _, name in valid_rows if name not in depth_rows]
         if absent:
             self._problems[
-                f"{self._depth_path} lacks {len(absent)} of {len(wanted)} valid frames of {self._labels_path.name}, "
-                f"such as {absent[0]}: they are left out"
+                f"{self._depth_path} lacks {len(absent)} of {len(valid_rows)} valid frames of "
+                f"{self._labels_path.name}, such as {absent[0]}: they are left out"
             ] = None
         frames = []
-        for row, name in wanted:
+        for row, name in valid_rows:
             person, _, number = name.partition("_")
             if name in depth_rows and number.isdecimal() and len(number) < _DIGITS:
                 frames.append(_Frame(name, person, int(number), depth_rows[name], row))
@@ -188,25 +191,25 @@ def _open(path: Path) -> Any:
 
 
 def _dataset(file: Any, path: Path, name: str, shape: tuple[int, ...], kinds: str) -> Any:
-    """A data set of rows of a shape, of one of the kinds of numbers (NumPy's letters), of a size that can be read."""
+    """A data set with rows of a shape and one of NumPy's kinds of numbers, checked to be of a size that can be read."""
     import h5py
 
-    wanted = ", ".join(map(str, ("n", *shape)))
+    expected = ", ".join(map(str, ("n", *shape)))
     try:
         data = file.get(name)
         if not isinstance(data, h5py.Dataset) or data.shape is None:
-            found = "is missing" if data is None else "is no array"
+            fault = "is missing" if data is None else "is no array"
         elif data.ndim != 1 + len(shape) or data.shape[1:] != shape:
-            found = f"is {data.shape}"
+            fault = f"is {data.shape}"
         elif data.dtype.kind not in kinds:
-            found = f"is of the type {data.dtype}"
+            fault = f"is of the type {data.dtype}"
         elif len(data) > _MOST_FRAMES or math.prod(data.chunks or ()) * data.dtype.itemsize > _LARGEST_CHUNK:
-            found = f"is too large ({len(data):,} rows in chunks of {data.chunks})"
+            fault = f"is too large ({len(data):,} rows in chunks of {data.chunks})"
         else:
             return data
     except Exception as error:  # h5py raises many types for damaged files
-        found = f"cannot be read ({_line(error)})"
-    raise InputError(f"{path}: the data set {name!r} {found}, expected ({wanted})")
+        fault = f"cannot be read ({_line(error)})"
+    raise InputError(f"{path}: the data set {name!r} {fault}, expected ({expected})")
 
 
 def _read(path: Path, data: Any, rows: int | slice) -> Any:

@@ -6,7 +6,7 @@
     Calibration/camcfg_k0K.yml, Calibration/RwTw_k0K.txt
 
 The world is the marker system's, Y up, here in metres. The 640×480 pictures need no scaling to look like a Kinect 2's:
-the classifier's window is scaled by the person's size, and is told what a pixel is worth in metres.
+the classifier's window is scaled by the person's size, and holds the size of a pixel in metres.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ MHAD_JOINTS = (
 )
 _LIMB = len(_ARM)
 _ENDS = range(_LIMB - 1, len(MHAD_JOINTS), _LIMB)
-#: Our joint nearest to one of theirs.
+#: Our nearest joint of some of their joints.
 MHAD_CORRESPONDENCE = {
     "Hips": "Hip", "Spine1": "Spine", "Spine2": "Spine1", "Spine3": "Spine2", "Neck": "Neck", "Head": "Head",
     **{side + joint: side + ours for side in "RL" for joint, ours in (
@@ -58,15 +58,19 @@ ACTIONS = {
     "a06": "waving one hand", "a07": "clapping", "a08": "throwing", "a09": "sitting down and standing up",
     "a10": "sitting down", "a11": "standing up",
 }  # fmt: skip
-#: Bytes of the largest of its texts and pictures; comments have some room.
-_LARGEST_TEXT, _LARGEST_PGM = 1 << 24, 2 * WIDTH * HEIGHT + (1 << 16)
-#: Comments end with their line, so that nothing is tried twice.
+#: Largest text file, bytes.
+_LARGEST_TEXT = 1 << 24
+#: Largest picture, bytes, with some room for comments.
+_LARGEST_PGM = 2 * WIDTH * HEIGHT + (1 << 16)
+#: Comments end with their line, so that matching never backtracks.
 _PGM = re.compile(rb"P5\s+(?:#[^\n]*\n\s*)*(\d{1,5})\s+(\d{1,5})\s+(\d{1,5})\s")
 _UNIT_M = 0.01  # of the skeletons: ten times their numbers are millimetres
 _TRUNK = [MHAD_JOINTS.index(name) for name in ("Spine1", "Spine2", "Spine3", "Neck")]
-#: Sequences, and frames of each, that the empty scene is learnt from.
-_SAMPLED, _FRAMES_EACH = 12, 4
-#: The true trunk must lie on the person in this share of the sampled frames.
+#: Number of sequences from which the background is estimated.
+_SAMPLED_SEQUENCES = 12
+#: Number of frames from each of them.
+_SAMPLED_FRAMES = 4
+#: Least share of the sampled frames in which the true trunk must lie on the person.
 _LEAST_ON_PERSON = 0.5
 
 
@@ -98,8 +102,8 @@ class Sequence:
 class MhadSet:
     """The frames of both Kinects with the marker system's joints (see ``AnnotatedSet``).
 
-    A Kinect 1 frame and the Kinect 2 frame nearest to it in time are a pair; one without a partner within half a frame
-    period is left out, as is everything that is not there or cannot be read (``problems``).
+    A frame of Kinect 1 and the nearest in time of Kinect 2 are a pair. Frames without a partner within half a frame
+    period are skipped, as are missing and unreadable files (``problems``).
     """
 
     name = "Berkeley MHAD"
@@ -113,8 +117,9 @@ class MhadSet:
         """
         Args:
             root: holds Kinect, Mocap and Calibration.
-            subjects: numbers of those to read, by default all; likewise ``actions``.
-            every: read every so-many-th frame.
+            subjects: numbers of the subjects to read, by default all.
+            actions: numbers of the actions to read, by default all.
+            every: read every ``every``-th frame only.
 
         Raises:
             InputError: when no sequence is found, or the calibration is missing or malformed.
@@ -123,15 +128,15 @@ class MhadSet:
             raise InputError(f"--every must be at least 1, got {every}")
         self.root, self.every, self.fps = root, every, 30.0 / every
         self.problems: list[str] = []
-        found = _sequences(root)
-        if not found:
+        sequences = _sequences(root)
+        if not sequences:
             raise InputError(
                 f"{root} holds no Mocap/SkeletalData/skl_sNN_aNN_rNN.bvh: give the folder with the Kinect, Mocap and "
                 "Calibration folders of Berkeley MHAD"
             )
         self.sequences = [
-            each for each in found
-            if (not subjects or each.subject in subjects) and (not actions or each.action in actions)
+            sequence for sequence in sequences
+            if (not subjects or sequence.subject in subjects) and (not actions or sequence.action in actions)
         ]  # fmt: skip
         if not self.sequences:
             raise InputError(f"{root} holds none of the subjects {subjects or 'all'} and actions {actions or 'all'}")
@@ -145,7 +150,7 @@ class MhadSet:
         """
         self.problems.clear()
         for kinect in KINECTS:
-            absent = [each for each in self.sequences if not self._has_depth(each, kinect)]
+            absent = [s for s in self.sequences if not self._has_depth(s, kinect)]
             if absent:
                 folder = absent[0].depth_path(self.root, kinect, 0).parent
                 self.problems.append(f"{len(absent)} sequences left out, the first because {folder} not found")
@@ -170,21 +175,21 @@ class MhadSet:
 
     @functools.cached_property
     def segmenter(self) -> PersonSegmenter:
-        """Background subtraction against the scene of frames spread over the sequences (see ``volume``).
+        """Background subtraction with a background from frames spread over the sequences (``volume``).
 
         Raises:
             InputError: when no frame can be read, or the true trunk is not where the pictures show the person.
         """
         samples: dict[int, list[View]] = collections.defaultdict(list)
         truths: list[ndarray] = []
-        there = self._with_depth
-        spread = np.linspace(0, len(there) - 1, min(_SAMPLED, len(there))).round().astype(int)
-        for sequence in [there[i] for i in spread]:
+        sequences = self._with_depth
+        spread = np.linspace(0, len(sequences) - 1, min(_SAMPLED_SEQUENCES, len(sequences))).round().astype(int)
+        for sequence in [sequences[i] for i in spread]:
             try:
                 frames, joints_world = self._open(sequence)
             except InputError:
-                continue  # is told when it is its turn
-            for i in np.unique(np.linspace(0, len(frames) - 1, _FRAMES_EACH).round().astype(int)):
+                continue  # reported when the sequence is read
+            for i in np.unique(np.linspace(0, len(frames) - 1, _SAMPLED_FRAMES).round().astype(int)):
                 try:
                     views = [self._view(sequence, k, int(f)) for k, f in zip(KINECTS, frames[i], strict=True)]
                 except InputError:
@@ -208,7 +213,7 @@ class MhadSet:
 
     @property
     def _with_depth(self) -> list[Sequence]:
-        return [each for each in self.sequences if all(self._has_depth(each, kinect) for kinect in KINECTS)]
+        return [sequence for sequence in self.sequences if all(self._has_depth(sequence, kinect) for kinect in KINECTS)]
 
     def _check_calibration(
         self, kinect: int, views: list[View], truths: list[ndarray], segmenter: PersonSegmenter
@@ -227,16 +232,16 @@ class MhadSet:
             )
 
     def _open(self, sequence: Sequence) -> tuple[Int[ndarray, "n 2"], Float[ndarray, "n 35 3"]]:
-        """Kinect frames of a sequence that belong together, and their joints (metres)."""
-        moments = [_correspondences(sequence.correspondence_path(self.root, kinect)) for kinect in KINECTS]
-        pairs = _pairs(*moments)[:: self.every]
+        """Pairs of Kinect frames of a sequence, and their joints (metres)."""
+        mocap_frames = [_correspondences(sequence.correspondence_path(self.root, kinect)) for kinect in KINECTS]
+        pairs = _pairs(*mocap_frames)[:: self.every]
         if not len(pairs):
             raise InputError(
                 f"{sequence.correspondence_path(self.root, 2)} has no frame at the time of one of Kinect 1"
             )
         path = sequence.skeleton_path(self.root)
         motion = read_bvh_joints(path)
-        mocap = moments[0][pairs[:, 0]]
+        mocap = mocap_frames[0][pairs[:, 0]]
         if mocap.max() >= len(motion.values):
             raise InputError(
                 f"{path} has {len(motion.values)} frames, but {sequence.correspondence_path(self.root, 1)} asks for "
@@ -252,7 +257,7 @@ class MhadSet:
 def mhad_joints(motion: BvhJoints, path: Path, frames: Int[ndarray, "n"]) -> Float[ndarray, "n 35 3"]:
     """Joints of frames of a skeleton, metres, in the order of ``MHAD_JOINTS``.
 
-    Which limb is a right one is told from the frames: seen along the toes, it is on the right.
+    The right limbs follow from the frames: they are on the right in the direction of the toes.
 
     Raises:
         InputError: when the skeleton is not of 30 joints and 5 ends in the known order.
@@ -291,7 +296,7 @@ def read_mhad_camera(root: Path, kinect: int) -> DepthCamera:
         storage = cv2.FileStorage(lens_text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         node = storage.getNode("Camera_1")
         matrix, distortion = node.getNode("K").mat(), node.getNode("Dist").mat()
-    except (cv2.error, SystemError):  # the latter where OpenCV cannot hand on why
+    except (cv2.error, SystemError):  # SystemError: OpenCV cannot pass its error on
         matrix = distortion = None
     if matrix is None or matrix.shape != (3, 3) or distortion is None or distortion.size < 4:
         raise InputError(f"{lens} must hold Camera_1 with K (3×3) and Dist (four numbers)")
@@ -299,8 +304,8 @@ def read_mhad_camera(root: Path, kinect: int) -> DepthCamera:
         raise InputError(f"{lens}: K is not of a {WIDTH}×{HEIGHT} picture: centre {matrix[0, 2]:g}, {matrix[1, 2]:g}")
     camera_from_world = np.eye(4)
     for key, part in (("Rw", np.s_[:3, :3]), ("Tw", np.s_[:3, 3])):
-        found = re.search(rf"^\s*{key}\s*=(.*)$", text, re.MULTILINE)
-        words = found.group(1).split() if found else []
+        match = re.search(rf"^\s*{key}\s*=(.*)$", text, re.MULTILINE)
+        words = match.group(1).split() if match else []
         shape = camera_from_world[part].shape
         try:
             camera_from_world[part] = np.array(words, np.float64).reshape(shape)
@@ -332,11 +337,11 @@ def read_pgm(path: Path) -> ndarray:
 
 
 def _sequences(root: Path) -> list[Sequence]:
-    """All that have a skeleton, correspondences or depth, so that what else they lack can be told."""
+    """All sequences with a skeleton or correspondences, so that their missing files can be reported."""
     names = [path.stem for path in (root / "Mocap" / "SkeletalData").glob("skl_*.bvh")]
     names += [path.stem for path in (root / "Kinect" / "Correspondences").glob("corr_moc_kin*.txt")]
-    found = (re.search(r"_s(\d\d)_a(\d\d)_r(\d\d)$", name) for name in names)
-    return sorted({Sequence(*map(int, match.groups())) for match in found if match})
+    matches = (re.search(r"_s(\d\d)_a(\d\d)_r(\d\d)$", name) for name in names)
+    return sorted({Sequence(*map(int, match.groups())) for match in matches if match})
 
 
 def _correspondences(path: Path) -> Int[ndarray, "n"]:
@@ -346,7 +351,7 @@ def _correspondences(path: Path) -> Int[ndarray, "n"]:
         table = np.loadtxt(rows, ndmin=2) if rows else np.empty((0, 3))
     except ValueError as error:
         raise InputError(f"{path} cannot be read: {error}") from None
-    # Not finite is not within either.
+    # A number that is not finite fails both comparisons.
     if table.shape[1] < 3 or not len(table) or not ((table[:, 2] >= 0) & (table[:, 2] < 2**31)).all():
         raise InputError(f"{path} must hold three columns, the third a frame of the marker system, in a row per frame")
     return table[:, 2].astype(np.int64)

@@ -35,7 +35,7 @@ PANOPTIC_JOINTS = (
     "Neck", "Nose", "BodyCenter", "LShoulder", "LElbow", "LWrist", "LHip", "LKnee", "LAnkle",
     "RShoulder", "RElbow", "RWrist", "RHip", "RKnee", "RAnkle", "LEye", "LEar", "REye", "REar",
 )  # fmt: skip
-#: Our joint nearest to one of theirs.
+#: Our nearest joint of some of their joints.
 PANOPTIC_CORRESPONDENCE = {
     "Neck": "Neck", "BodyCenter": "Hip",
     **{side + theirs: side + ours for side in "RL" for theirs, ours in (
@@ -44,24 +44,25 @@ PANOPTIC_CORRESPONDENCE = {
     )},
 }  # fmt: skip
 FPS = 29.97
-#: A Kinect's frame belongs to a frame of the dome if it was taken within this of it.
+#: Largest time difference of a Kinect's frame and its frame of the dome, milliseconds.
 NEAREST_MS = 17.0
-#: Joints of less confidence are taken as unknown; the set marks those it did not find by a negative one.
+#: Joints of less confidence are unknown; the set marks missing joints with a negative confidence.
 CONFIDENCE = 0.2
+#: Number of frames from which the background is estimated.
 _SAMPLES = 24
 #: Files of joints, by frame.
 _NUMBERED = re.compile(r"body3DScene_[0-9]{1,9}")
-#: The true joints must lie on the person in this share of the sampled views of each Kinect.
+#: Least share of the sampled views of each Kinect in which the true joints must lie on the person.
 _LEAST_ON_PERSON = 0.5
-#: The place in the table of times that a frame of joints has, from its number.
+#: Row of a frame of joints in the table of times, minus the number of the frame.
 _HD_OFFSET = 1
 
 
 class PanopticSet:
-    """The frames of one or more sequences in which exactly one person is (see ``AnnotatedSet``).
+    """The frames of one or more sequences that show exactly one person (see ``AnnotatedSet``).
 
-    Kinects are independent and late by up to half a frame period: those within ``NEAREST_MS`` of a frame of joints see
-    it. Subject and action of a frame are the sequence's name.
+    Kinects are not synchronised: a frame of joints has the views of those within ``NEAREST_MS``. Subject and action of
+    a frame are the sequence's name.
     """
 
     name = "CMU Panoptic"
@@ -80,8 +81,8 @@ class PanopticSet:
         """
         Args:
             root: a sequence's folder, or one that holds several.
-            kinects: numbers (1–10) of those to read, by default all that are there.
-            every: read every so-many-th frame of joints.
+            kinects: numbers (1–10) of the Kinects to read, by default all that are there.
+            every: read every ``every``-th frame of joints only.
             confidence: joints below it are unknown.
 
         Raises:
@@ -101,7 +102,7 @@ class PanopticSet:
         self.problems: list[str] = []
 
     def __iter__(self) -> Iterator[AnnotatedFrame]:
-        """Frames of all sequences but those whose files are missing or disagree."""
+        """Frames of all sequences except those with missing or inconsistent files."""
         self.problems.clear()
         for folder in self.folders:
             try:
@@ -123,15 +124,15 @@ class PanopticSequence:
         self.folder, self.confidence = folder, confidence
         self.problems: list[str] = []
         self.cameras: dict[int, DepthCamera] = {}
-        own, dome = self._json("kcalibration"), self._json("calibration")
+        kinect_calibration, dome_calibration = self._json("kcalibration"), self._json("calibration")
         times = self._json("ksynctables")
         self.times_ms: dict[int, ndarray] = {}
-        for kinect in kinects or range(1, len(sensors_of(own)) + 1):
+        for kinect in kinects or range(1, len(sensors_of(kinect_calibration)) + 1):
             path = self._depth_path(kinect)
             if not path.is_file():
                 self.problems.append(f"{folder.name}: Kinect {kinect} left out, {path} not found")
                 continue
-            self.cameras[kinect] = kinect_camera(folder, own, dome, kinect, m_color)
+            self.cameras[kinect] = kinect_camera(folder, kinect_calibration, dome_calibration, kinect, m_color)
             node = f"KINECTNODE{kinect}"
             self.times_ms[kinect] = self._times(times, "ksynctables", "kinect", "depth", node)
         if not self.cameras:
@@ -145,7 +146,7 @@ class PanopticSequence:
             raise InputError(f"{bodies} holds no body3DScene_<frame>.json: unpack hdPose3d_stage1_coco19.tar")
 
     def frames(self, every: int) -> Iterator[AnnotatedFrame]:
-        """Every so-many-th frame of joints, with masked views."""
+        """Every ``every``-th frame of joints, with masked views."""
         left_out: dict[str, int] = {}
         for path in self.bodies[::every]:
             try:
@@ -161,7 +162,7 @@ class PanopticSequence:
 
     @functools.cached_property
     def segmenter(self) -> PersonSegmenter:
-        """Background subtraction against the scene of frames spread over the sequence (see ``volume``).
+        """Background subtraction with a background from frames spread over the sequence (``volume``).
 
         Raises:
             InputError: when the true joints are not where the pictures show the person.
@@ -174,12 +175,12 @@ class PanopticSequence:
                 joints = self._joints(path)
                 views = self._views(int(path.stem.split("_")[-1]))
             except InputError:
-                continue  # counted when it is its turn
+                continue  # reported when the frame is read
             for view in views:
                 kinect = next(k for k, camera in self.cameras.items() if camera is view.camera)
                 samples[kinect].append(view)
                 truths[kinect].append(joints)
-        space = Volume.around(np.concatenate([joints for each in truths.values() for joints in each]), "-y")
+        space = Volume.around(np.concatenate([joints for of_kinect in truths.values() for joints in of_kinect]), "-y")
         segmenter = PersonSegmenter({
             camera.name: scene_background([view.depth_m for view in samples[kinect]], camera, space)
             for kinect, camera in self.cameras.items() if samples[kinect]
@@ -228,13 +229,13 @@ class PanopticSequence:
         return joints
 
     def _views(self, frame: int) -> list[View]:
-        """Depth of the Kinects that saw the moment of a frame of joints."""
+        """Views of the Kinects at the time of a frame of joints."""
         if not 0 <= frame + _HD_OFFSET < len(self.hd_ms):
             raise InputError(f"synctables_{self.folder.name}.json ends before them")
-        moment_ms = self.hd_ms[frame + _HD_OFFSET]
+        time_ms = self.hd_ms[frame + _HD_OFFSET]
         views, why = [], f"no Kinect has a picture within {NEAREST_MS:g} ms"
         for kinect, camera in self.cameras.items():
-            off_ms = np.abs(self.times_ms[kinect] - moment_ms)
+            off_ms = np.abs(self.times_ms[kinect] - time_ms)
             nearest = int(off_ms.argmin())
             if off_ms[nearest] > NEAREST_MS:
                 continue

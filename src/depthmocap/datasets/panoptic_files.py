@@ -20,7 +20,7 @@ MColor = Literal["to-colour", "from-colour"]
 
 
 def at(document: Any, *keys: str, default: Any) -> Any:
-    """What lies under keys of nested objects."""
+    """The value under keys of nested objects."""
     for key in keys:
         if not isinstance(document, dict) or key not in document:
             return default
@@ -28,24 +28,24 @@ def at(document: Any, *keys: str, default: Any) -> Any:
     return document
 
 
-def sensors_of(own: Any) -> list[Any]:
-    """What the document kcalibration holds of each Kinect."""
-    sensors = at(own, "sensors", default=[])
+def sensors_of(kinects: Any) -> list[Any]:
+    """The entry of each Kinect in the document kcalibration."""
+    sensors = at(kinects, "sensors", default=[])
     return sensors if isinstance(sensors, list) else []
 
 
 def _pose(rows: Any) -> Float[ndarray, "4 4"]:
     """A 3×4 or 4×4 matrix as 4×4."""
     pose = np.eye(4)
-    found = np.array(rows, np.float64)
-    if found.shape not in ((3, 4), (4, 4)):
-        raise ValueError(f"a pose of shape {found.shape}")
-    pose[: len(found)] = found
+    matrix = np.array(rows, np.float64)
+    if matrix.shape not in ((3, 4), (4, 4)):
+        raise ValueError(f"a pose of shape {matrix.shape}")
+    pose[: len(matrix)] = matrix
     return pose
 
 
 def read_depth(path: Path, frame: int) -> UInt16[ndarray, "424 512"]:
-    """A frame of a Kinect's depth (mm), as it is seen: the file's pictures are mirrored.
+    """A frame of a Kinect's depth (mm), not mirrored: the file's pictures are mirrored.
 
     Raises:
         InputError: when the file ends before it.
@@ -58,24 +58,25 @@ def read_depth(path: Path, frame: int) -> UInt16[ndarray, "424 512"]:
     return np.ascontiguousarray(np.fliplr(raw.reshape(HEIGHT, WIDTH)))
 
 
-def kinect_camera(folder: Path, own: Any, dome: Any, kinect: int, m_color: MColor) -> DepthCamera:
+def kinect_camera(folder: Path, kinects: Any, dome: Any, kinect: int, m_color: MColor) -> DepthCamera:
     """A Kinect's depth camera in the dome's world (metres).
 
     Args:
         folder: of the sequence, for messages.
-        own: the document kcalibration; ``dome``: the document calibration.
+        kinects: the document kcalibration.
+        dome: the document calibration.
 
     Raises:
         InputError: when the Kinect or a number is missing, or a pose is not rigid.
     """
     path, dome_path = (folder / f"{kind}_{folder.name}.json" for kind in ("kcalibration", "calibration"))
-    sensors = sensors_of(own)
+    sensors = sensors_of(kinects)
     if kinect > len(sensors):
         raise InputError(f"{path} has {len(sensors)} sensors, so no Kinect {kinect}")
     name = f"50_{kinect:02d}"
     cameras = at(dome, "cameras", default=[])
     cameras = cameras if isinstance(cameras, list) else []
-    colour = next((each for each in cameras if at(each, "name", default="") == name), None)
+    colour = next((entry for entry in cameras if at(entry, "name", default="") == name), None)
     if colour is None:
         raise InputError(f"{dome_path} has no camera {name}")
     try:

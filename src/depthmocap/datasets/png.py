@@ -1,8 +1,8 @@
 """PNG files of labels and depth, in memory (extra: train).
 
 Such pictures are mostly flat or empty. ISA-L's compressor without PNG's filters is many times as fast on them as
-libpng, and its files are about a quarter larger. ISA-L does not always pack the same picture
-into the same bytes; what is unpacked is the same.
+libpng, and its files are about a quarter larger. ISA-L may pack the same picture into different bytes; the unpacked
+picture is the same.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from depthmocap.errors import missing_extra
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GREY, _RGBA = 0, 6
-#: Of ISA-L's 0 to 3; the higher ones save next to nothing here.
+#: ISA-L's level of compression, 0 to 3; higher ones save next to nothing here.
 _LEVEL = 1
 
 
@@ -30,7 +30,7 @@ def colour_png(values: Integer[ndarray, "h w"], colours: UInt8[ndarray, "n 4"]) 
     """
     if values.size and (values.max() >= len(colours) or values.min() < 0):
         raise ValueError(f"values must be 0 to {len(colours) - 1}")
-    # Four bytes as one number are looked up many times as fast.
+    # Looking up four bytes as one number is many times as fast.
     pixels = np.ascontiguousarray(colours).view(np.uint32)[:, 0].take(values)
     return _png(pixels.view(np.uint8).reshape(len(values), -1), values.shape, 8, _RGBA)
 

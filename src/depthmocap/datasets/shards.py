@@ -56,10 +56,10 @@ def shards(path: Path) -> list[Path]:
         InputError: when there is none.
     """
     path = Path(path)
-    found = [path] if path.is_file() else sorted(path.glob("shard-*.tar"))
-    if not found:
+    paths = [path] if path.is_file() else sorted(path.glob("shard-*.tar"))
+    if not paths:
         raise InputError(f"{path} holds no shards: expected shard-000000.tar, shard-000001.tar, …")
-    return found
+    return paths
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -74,8 +74,8 @@ class ShardSample:
 
 
 class ShardWriter:
-    """Writes one shard under a temporary name, which it loses when all is written. Use it as a context manager: after
-    an error nothing of the shard is left. Equal samples give equal bytes."""
+    """Writes one shard under a temporary name, and renames it when complete. Use it as a context manager: after an
+    error nothing of the shard is left. Equal samples give equal bytes."""
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
@@ -95,7 +95,7 @@ class ShardWriter:
                     return
                 self._tar.close()
                 self._file.flush()
-                os.fsync(self._file.fileno())  # not even a power failure leaves a final name on half a shard
+                os.fsync(self._file.fileno())  # so that a power failure leaves no incomplete shard with a final name
             self._unfinished.replace(self.path)
         finally:
             self._unfinished.unlink(missing_ok=True)
@@ -134,7 +134,7 @@ class ShardWriter:
         self._add(f"{key}.json", json.dumps(document).encode())
 
     def _add(self, name: str, data: bytes) -> None:
-        member = tarfile.TarInfo(name)  # its time is 0, its owner nobody: nothing of the machine
+        member = tarfile.TarInfo(name)  # time 0 and no owner: nothing of the machine
         member.size = len(data)
         self._tar.addfile(member, io.BytesIO(data))
 
@@ -165,7 +165,7 @@ def count_samples(path: Path) -> int:
 
 
 def _whole(path: Path) -> tarfile.TarFile:
-    """The archive, if its end is there: Python reads on until it is not, without a word."""
+    """The archive, if its end is there: Python reads a truncated one without an error."""
     with open_file(path) as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(size - _END_OF_TAR, 0))
@@ -175,7 +175,7 @@ def _whole(path: Path) -> tarfile.TarFile:
 
 
 class _reading:  # noqa: N801 - used as a function
-    """Turns what a damaged tar file raises into an ``InputError`` that names it."""
+    """Turns the errors of a damaged tar file into an ``InputError`` that names it."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -207,11 +207,11 @@ def _read_shard(path: Path) -> Iterator[ShardSample]:
             data = file.read()
             if len(data) < member.size:
                 raise EOFError(f"{member.name} is cut off")
-            found, _, kind = member.name.partition(".")
-            if members and found != key:
+            member_key, _, kind = member.name.partition(".")
+            if members and member_key != key:
                 yield _sample(path, key, members)
                 members = {}
-            key, members[kind] = found, data
+            key, members[kind] = member_key, data
     if members:
         yield _sample(path, key, members)
 

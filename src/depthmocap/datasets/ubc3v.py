@@ -112,7 +112,7 @@ def encode_depth(
 
 
 def _region_bits() -> ndarray:
-    """For each channel and value, a bit set of the regions whose colour it fits."""
+    """For each channel and value, a bit set of the regions with a fitting colour."""
     bits = np.zeros((3, 256), np.uint64)
     for region in range(1, REGION_COUNT + 1):
         for channel, value in enumerate(UBC3V_COLOURS[region].astype(int)):
@@ -258,7 +258,7 @@ class Section(FrameSource):
 
     @property
     def problems(self) -> list[str]:
-        """What was wrong with the images that were read so far, one line each."""
+        """Problems with the images read so far, one line each."""
         return list(self._problems)
 
     def __len__(self) -> int:
@@ -310,13 +310,13 @@ def sections(root: Path, subset: str, split: str) -> list[Path]:
     for part in ("", subset, split):
         parent, folder = folder, folder / part
         if not folder.is_dir():
-            found = sorted(entry.name for entry in parent.iterdir()) if part else []
-            beside = f"; {parent} holds {', '.join(found[:20]) or 'nothing'}" if part else ""
+            names = sorted(entry.name for entry in parent.iterdir()) if part else []
+            beside = f"; {parent} holds {', '.join(names[:20]) or 'nothing'}" if part else ""
             raise InputError(f"{folder} not found: expected {_LAYOUT}{beside}")
-    found = [entry for entry in folder.iterdir() if entry.is_dir() and entry.name.isdecimal()]
-    if not found:
+    numbered = [entry for entry in folder.iterdir() if entry.is_dir() and entry.name.isdecimal()]
+    if not numbered:
         raise InputError(f"{folder} has no numbered sections: expected {_LAYOUT}")
-    return sorted(found, key=lambda entry: int(entry.name))
+    return sorted(numbered, key=lambda entry: int(entry.name))
 
 
 def iterate(
@@ -327,8 +327,8 @@ def iterate(
     ray_table: Path | None = None,
     problems: list[str] | None = None,
 ) -> Iterator[FrameSet]:
-    """Frames of a split, section after section, at most ``limit``. Timestamps start anew in every section. What was
-    wrong with images is logged, and appended to ``problems``.
+    """Frames of a split, section after section, at most ``limit``. Timestamps start anew in each section.
+    Problems with images are logged, and appended to ``problems``.
 
     Raises:
         InputError: as :func:`sections` and :class:`Section`.

@@ -78,7 +78,7 @@ def maya_angles(world_from_camera: Float[ndarray, "4 4"]) -> tuple[Float[ndarray
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RayTableCamera(DepthCamera):
-    """A camera whose rays are a table (x/z right, y/z down); its intrinsics are a pinhole near that table."""
+    """A camera with a table of rays (x/z right, y/z down); its intrinsics are a pinhole fitted to the table."""
 
     ray_table: Float[ndarray, "h w 2"] = dataclasses.field(kw_only=True)
 
@@ -97,12 +97,12 @@ class RayTableCamera(DepthCamera):
     def project(self, points_world: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3"]:
         """Pixel u, v and depth z (metres) of world points, by inverting the table; pinhole-like outside the image."""
         uvz = super().project(points_world)
-        wanted = uvz[..., :2]
-        uv = wanted
-        for _ in range(_ITERATIONS):  # fixed point of uv = wanted - shift(uv): a contraction, as the lens bends little
+        pinhole = uvz[..., :2]
+        uv = pinhole
+        for _ in range(_ITERATIONS):  # fixed point of uv = pinhole - shift(uv): a contraction, as the lens bends little
             at = np.nan_to_num(np.moveaxis(uv[..., ::-1], -1, 0))
             shift = [map_coordinates(part, at, order=1, mode="nearest") for part in self._shift]
-            uv = wanted - np.stack(shift, -1)
+            uv = pinhole - np.stack(shift, -1)
         return np.concatenate([uv, uvz[..., 2:]], -1)
 
 

@@ -50,7 +50,7 @@ _JOINT_OF_MAYA = dict(sorted(({maya: joint for joint, maya in MAYA_JOINTS.items(
 
 #: ``groundtruth.mat`` of a full section takes half a second to write, so it is written only this often.
 _SAVE_EVERY_S = 20.0
-#: Of the file's 128 bytes of header, the text, which would tell the time otherwise: equal data gives equal bytes.
+#: Text of the file's header. By default it would hold the time; so equal data gives equal bytes.
 _HEADER = b"MATLAB 5.0 MAT-file, written by depthmocap".ljust(116)
 #: RGBA of depth levels (0: not the person) and of labels.
 _GREYS = np.zeros((257, 4), np.uint8)
@@ -67,7 +67,7 @@ _STORED[_KNOWN] = np.where(_KNOWN == 0, UNLABELLED, _KNOWN)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FrameTruth:
-    """What ``groundtruth.mat`` holds of a frame, in its units: cm, degrees, Y up; ``poses`` by camera name."""
+    """A frame's values in ``groundtruth.mat``, in its units: cm, degrees, Y up; ``poses`` by camera name."""
 
     joints_cm: Float[ndarray, "18 3"]
     poses: dict[str, Float[ndarray, "2 3"]]
@@ -108,7 +108,7 @@ class SectionWriter:
     """Appends samples to ``root/subset/split/section``. Use it as a context manager.
 
     Images are written at once, ``groundtruth.mat`` every 20 seconds, when full and on closing, from a temporary file:
-    it never tells of an image that is not there. A writer opened on an existing section continues after the last
+    it never refers to a missing image. A writer opened on an existing section continues after the last
     frame in ``groundtruth.mat``: ``len(writer)`` frames are done.
 
     Raises:
@@ -122,7 +122,7 @@ class SectionWriter:
         if self._truth_path.exists():
             truth = read_ground_truth(self._truth_path)
             self._frames = [
-                # A frame without a pose of a camera was not seen by it.
+                # A camera without a pose has no view of the frame.
                 FrameTruth(joints, {k: v[i] for k, v in truth.cameras.items() if np.isfinite(v[i]).all()})
                 for i, joints in enumerate(truth.joints_cm)
             ]
@@ -245,12 +245,12 @@ def _check_intrinsics(view: View) -> None:
     for image in (view.depth_m, view.mask, view.labels):
         if image is not None and image.shape != size:
             raise ValueError(f"camera {camera.name}: images must be {size}, got {image.shape}")
-    given = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
-    wanted = (KINECT2.width, KINECT2.height, KINECT2.fx, KINECT2.fy, KINECT2.cx, KINECT2.cy)
-    if not np.allclose(given, wanted, rtol=0, atol=1e-3) or any(camera.distortion):
+    intrinsics = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    expected = (KINECT2.width, KINECT2.height, KINECT2.fx, KINECT2.fy, KINECT2.cx, KINECT2.cy)
+    if not np.allclose(intrinsics, expected, rtol=0, atol=1e-3) or any(camera.distortion):
         raise ValueError(
-            f"camera {camera.name}: UBC3V holds no intrinsics, so width, height, fx, fy, cx, cy must be {wanted} "
-            f"without distortion, got {given}; make the camera with ubc3v.kinect2_camera"
+            f"camera {camera.name}: UBC3V holds no intrinsics, so width, height, fx, fy, cx, cy must be {expected} "
+            f"without distortion, got {intrinsics}; make the camera with ubc3v.kinect2_camera"
         )
 
 

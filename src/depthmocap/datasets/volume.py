@@ -1,8 +1,7 @@
-"""The space in which a studio's people move, and the empty scene of its cameras as far as it can be known.
+"""The volume in which the people of a studio move, and an estimate of its cameras' background.
 
-Studios record nobody-in-view frames seldom, and people who act on one spot hide the same pixels all the time, so that a
-background learnt from the recordings alone would hold them. What lies inside the space and above its floor is
-therefore never taken for background.
+Studios seldom record the empty scene, and people who act in one spot hide the same pixels all the time. A background
+from the recordings alone would contain them. So nothing inside the volume and above its floor counts as background.
 """
 
 from __future__ import annotations
@@ -17,9 +16,9 @@ from numpy import ndarray
 from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.segment.background import estimate_background
 
-#: What the floor's depth may be off by, so that it is not taken for something that stands on it.
+#: Largest error of the floor's depth, metres: points above it by less count as floor.
 FLOOR_M = 0.1
-#: Depth of the background where a pixel's ray misses the space: nothing there is the person.
+#: Depth of the background where a pixel's ray misses the volume, metres: nothing there can be the person.
 _NOTHING_M = 1e-3
 
 
@@ -34,7 +33,7 @@ class Volume:
 
     @classmethod
     def around(cls, places_world: Float[ndarray, "n 3"], up: str, room_m: float = 0.6) -> Volume:
-        """The space around places that joints were at (NaN: unknown); the lowest is on the floor."""
+        """The volume around joint positions (NaN: unknown); the lowest is on the floor."""
         axis, sign = ("xyz".index(up[-1]), -1.0 if up[0] == "-" else 1.0)
         low, high = np.nanmin(places_world, 0) - room_m, np.nanmax(places_world, 0) + room_m
         floor = low if sign > 0 else high
@@ -42,7 +41,7 @@ class Volume:
         return cls(low, high, up)
 
     def above_floor(self, points_world: Float[ndarray, "*n 3"], by_m: float) -> Bool[ndarray, "*n"]:
-        """Whether points are inside, and above the floor by more than this."""
+        """Whether points are inside, and more than ``by_m`` above the floor."""
         axis = "xyz".index(self.up[-1])
         low, high = self.low.copy(), self.high.copy()
         if self.up[0] == "-":
@@ -66,15 +65,15 @@ class Volume:
 def scene_background(
     samples_m: Sequence[Float[ndarray, "_ _"]], camera: DepthCamera, volume: Volume
 ) -> Float[ndarray, "h w"]:
-    """The empty scene (metres) for ``PersonSegmenter``: what the samples (depth, metres) show at the far end, or where
-    the space ends, if that is nearer; and only the latter where it is something that stands in the space.
+    """The background (metres) for ``PersonSegmenter``: the far depth of the samples, or the end of the volume,
+    whichever is nearer; the end of the volume where the samples show something that stands in it.
 
     Args:
         samples_m: frames of the camera, spread over the recordings.
     """
-    seen_m = estimate_background(samples_m)
+    far_m = estimate_background(samples_m)
     exit_m = volume.exit_depth_m(camera)
-    points = np.concatenate([camera.rays * seen_m[..., None], seen_m[..., None]], -1).astype(np.float64)
+    points = np.concatenate([camera.rays * far_m[..., None], far_m[..., None]], -1).astype(np.float64)
     world = points @ camera.world_from_camera[:3, :3].T + camera.world_from_camera[:3, 3]
-    scenery = (seen_m > 0) & ~volume.above_floor(world, FLOOR_M)
-    return np.where(scenery, np.minimum(seen_m, exit_m), exit_m).astype(np.float32)
+    scenery = (far_m > 0) & ~volume.above_floor(world, FLOOR_M)
+    return np.where(scenery, np.minimum(far_m, exit_m), exit_m).astype(np.float32)

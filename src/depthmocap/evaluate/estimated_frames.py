@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sized
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
@@ -145,8 +145,8 @@ def estimate_frames(
 
 
 def _length(source: AnnotatedSet, every: int) -> int | None:
-    size = getattr(source, "__len__", None)
-    return None if size is None else -(-size() // every)
+    """Number of frames that are read; None where the set does not know it before."""
+    return -(-len(source) // every) if isinstance(source, Sized) else None
 
 
 def _estimate_frame(
