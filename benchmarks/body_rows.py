@@ -48,9 +48,9 @@ def rendering(bench: Bench) -> None:
 
     def cast(scene: Any, rays: ndarray) -> tuple[ndarray, ndarray]:
         flat = np.ascontiguousarray(rays.reshape(-1, 3))
-        found = scene.run(np.zeros_like(flat), flat, output=1)
-        face, hit = found["primID"], found["primID"] >= 0
-        depth = np.where(hit, found["tfar"], 0).astype(np.float32)
+        hits = scene.run(np.zeros_like(flat), flat, output=1)
+        face, hit = hits["primID"], hits["primID"] >= 0
+        depth = np.where(hit, hits["tfar"], 0).astype(np.float32)
         labels = np.where(hit, regions[face], 0).astype(np.uint8)
         return depth.reshape(rays.shape[:2]), labels.reshape(rays.shape[:2])
 
@@ -61,7 +61,7 @@ def rendering(bench: Bench) -> None:
     differing = int(np.count_nonzero(labels != cast_labels))
     error_mm = float(np.abs(depth - cast_depth)[person & (cast_labels > 0)].max() * 1e3)
     agrees = bool(differing <= 1e-3 * person.sum() and error_mm < 1)
-    found = f"{person.sum()} person px, {differing} labels differ, depth within {error_mm:.2g} mm"
+    agreement = f"{person.sum()} person px, {differing} labels differ, depth within {error_mm:.2g} mm"
     rows, columns = np.flatnonzero(person.any(1)), np.flatnonzero(person.any(0))
     box_rays = all_rays[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
 
@@ -69,7 +69,7 @@ def rendering(bench: Bench) -> None:
         return render_body(posed, camera)
 
     for reference, note in (
-        (Reference("Embree, scene built for the view", lambda: cast(build(), all_rays)), found),
+        (Reference("Embree, scene built for the view", lambda: cast(build(), all_rays)), agreement),
         (Reference("Embree, scene kept", lambda: cast(scene, all_rays)), "as if the body never moved"),
         (Reference("Embree, scene kept, person's box", lambda: cast(scene, box_rays)), "as if its box were known, too"),
     ):
@@ -86,7 +86,7 @@ def rendering_open3d(bench: Bench) -> None:
     regions = np.append(regions, 0).astype(np.uint8)
     vertices = open3d.core.Tensor(points)
     faces = open3d.core.Tensor(triangles.astype(np.uint32))
-    # Its rays are of depth 1, so that what it finds is the depth; they are made beforehand.
+    # Rays of depth 1, so that Open3D returns the depth. The rays are made beforehand.
     ones = np.ones((camera.height, camera.width, 1), np.float32)
     directions = np.concatenate([camera.rays, ones], -1) @ camera.world_from_camera[:3, :3].T.astype(np.float32)
     eye = np.broadcast_to(camera.world_from_camera[:3, 3].astype(np.float32), directions.shape)
@@ -95,9 +95,9 @@ def rendering_open3d(bench: Bench) -> None:
     def cast(threads: int) -> tuple[ndarray, ndarray]:
         scene = open3d.t.geometry.RaycastingScene(nthreads=threads)
         scene.add_triangles(vertices, faces)
-        found = scene.cast_rays(rays, nthreads=threads)
-        depth = found["t_hit"].numpy()
-        face = found["primitive_ids"].numpy()
+        hits = scene.cast_rays(rays, nthreads=threads)
+        depth = hits["t_hit"].numpy()
+        face = hits["primitive_ids"].numpy()
         labels = regions[np.minimum(face, len(regions) - 1)]
         return np.where(np.isfinite(depth), depth, 0), labels
 
@@ -149,8 +149,8 @@ def posing(bench: Bench) -> None:
         with torch.inference_mode():
             return anny(deltas[:count], parameters, pose_parameterization="world-orient")["vertices"]
 
-    mine = np.stack([body.pose(posture).vertices for posture in postures])
-    error_mm = max(float(np.abs(f(BATCH).numpy() - mine).max()) for f in (pose, forward)) * 1e3
+    ours = np.stack([body.pose(posture).vertices for posture in postures])
+    error_mm = max(float(np.abs(f(BATCH).numpy() - ours).max()) for f in (pose, forward)) * 1e3
     agrees, note = error_mm < 0.1, f"vertices within {error_mm:.2g} mm"
     threads = f"{bench.threads} thread" + "s" * (bench.threads > 1)
 

@@ -1,4 +1,4 @@
-"""A person who walks about and moves the arms in a generated room, recorded by cameras whose places are known."""
+"""A person who walks about and moves the arms in a generated room, recorded by cameras with known poses."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ from depthmocap.synth.scenes.room import Box, Room, render_room, shelf, table
 from depthmocap.synth.sensing.sensor import sense
 from depthmocap.synth.sensing.sensors import SENSORS
 
-#: Half the room's sides (metres).
-_HALF_X, _HALF_Y = 3.1, 2.9
+#: Half the length of the room along x, metres.
+_HALF_X = 3.1
+#: Half the length of the room along y, metres.
+_HALF_Y = 2.9
 _ROOM = Room(
     Box((-_HALF_X, -_HALF_Y, 0.0), (_HALF_X, _HALF_Y, 2.8)),
     (
@@ -33,21 +35,27 @@ _ROOM = Room(
         Box((2.5, -2.6, 0.0), (3.1, -1.8, 1.1)),
     ),
 )
-#: Cameras of these makes by turns.
+#: Sensors of the cameras, in turns.
 _SENSORS = ("kinect2", "azure-nfov-binned")
-#: The person keeps within this of the room's middle, walks so fast, and stops so long now and then.
-_REACH_M, _SPEED_MPS, _STAND_S = 0.9, 0.7, 1.5
-#: Arms wander by this (radians, standard deviation) about their swing, within so many seconds.
-_WAVE_RAD, _WAVE_S = 0.6, 0.5
+#: Largest distance of the person from the room's middle along x and y, metres.
+_REACH_M = 0.9
+#: Speed of walking, m/s.
+_SPEED_MPS = 0.7
+#: Length of each stop, seconds.
+_STAND_S = 1.5
+#: Standard deviation of the arms' random motion about their swing, radians.
+_WAVE_RAD = 0.6
+#: Time constant of this motion, seconds.
+_WAVE_S = 0.5
 
 
 @dataclasses.dataclass(frozen=True)
 class TrialScene:
-    """What is recorded.
+    """Settings of the scene.
 
     Attributes:
-        azimuths_deg: where the cameras stand around the room's middle, 0 at −Y, towards +X.
-        out_of_step_s: how much later than its timestamps say each camera looks.
+        azimuths_deg: azimuths of the cameras around the room's middle, 0 at −Y, towards +X.
+        out_of_step_s: how much later than its timestamps each camera captures.
         room: whether there is a room around the person; otherwise the sensors read nothing behind them.
     """
 
@@ -69,17 +77,17 @@ class TrialScene:
         dressed = random_dressed(rng, "open")
         times_s = np.arange(round(self.seconds * self.rate_hz)) / self.rate_hz
         motion = _walk_about(rng, dressed, self.seconds + 2)
-        late = self.out_of_step_s or (0.0,) * len(rig.cameras)
-        # Posing somebody dressed takes longer than drawing them: cameras in step share it.
-        moving = {each: pose_sequence(dressed, motion(times_s + each + 0.5)) for each in {0.0, *late}}
+        offsets_s = self.out_of_step_s or (0.0,) * len(rig.cameras)
+        # Posing a dressed person takes longer than rendering: cameras with the same offset share it.
+        moving = {offset_s: pose_sequence(dressed, motion(times_s + offset_s + 0.5)) for offset_s in {0.0, *offsets_s}}
         rooms = [render_room(_ROOM, camera) if self.room else None for camera in rig.cameras]
         unplaced = Rig(tuple(dataclasses.replace(camera, world_from_camera=np.eye(4)) for camera in rig.cameras))
         with RecordingWriter(path, unplaced) as writer:
             for time_s in times_s:
-                posed = {each: next(poses) for each, poses in moving.items()}
+                posed = {offset_s: next(poses) for offset_s, poses in moving.items()}
                 frames = {}
-                for camera, preset, each, room_m in zip(rig.cameras, presets, late, rooms, strict=True):
-                    drawn = render_person(posed[each], camera, room_m)
+                for camera, preset, offset_s, room_m in zip(rig.cameras, presets, offsets_s, rooms, strict=True):
+                    drawn = render_person(posed[offset_s], camera, room_m)
                     depth_m = sense(drawn.depth_m, drawn.material, camera, preset.model, rng)
                     frames[camera.name] = np.round(depth_m / camera.depth_unit_m).astype(np.uint16)
                 writer.write(round(float(time_s) * 1e9), frames, posed[0.0].joints)
@@ -87,14 +95,14 @@ class TrialScene:
 
 
 def _mount(rng: np.random.Generator, azimuth_deg: float) -> Float[ndarray, "4 4"]:
-    """A camera on its stand, which looks at the middle of the room, neither exactly nor exactly upright."""
+    """Pose of a camera that looks roughly at the middle of the room, with a little roll."""
     azimuth, reach = np.deg2rad(azimuth_deg), rng.uniform(2.4, 2.7)
     eye = np.array([reach * np.sin(azimuth), -reach * np.cos(azimuth), rng.uniform(1.0, 2.2)])
     return look_at(eye, np.array([*rng.uniform(-0.1, 0.1, 2), 0.95]), rng.normal(0, 0.03))
 
 
 def _walk_about(rng: np.random.Generator, dressed: DressedBody, seconds: float):
-    """The motion at any times: from place to place, turning and standing, the arms never still."""
+    """The motion at any times: walking from stop to stop, turning and standing, with moving arms."""
     stops, walked_s = [Stop(0.3, 0.5)], 0.0
     while walked_s < seconds:
         x, y = rng.uniform(-_REACH_M, _REACH_M, 2)

@@ -1,6 +1,6 @@
-"""Depth cameras that are not there, with everything that goes wrong with real ones, in virtual or in real time.
+"""Simulated depth cameras with the faults of real ones, in virtual or in real time.
 
-``Simulation`` gives all that the cameras would deliver, in order of arrival, and the truth about it; nothing waits.
+``Simulation`` gives all deliveries of the cameras in order of arrival, with their ground truth, without waiting.
 ``SimulatedCamera`` is one of them as a source that delivers in real time.
 """
 
@@ -28,18 +28,18 @@ Stretches = tuple[tuple[float, float], ...]
 
 @dataclasses.dataclass(frozen=True)
 class Faults:
-    """What is wrong with one camera. Shares are of frames; stretches are (from, to) in seconds since the start.
+    """Faults of one camera. Shares are of frames; stretches are (from, to) in seconds since the start.
 
     Attributes:
-        offset_s, drift_ppm: the camera's clock ahead of the host's at the start, and how much faster it runs.
-        jumps: (at, by) in seconds: the clock is set forward or back.
-        delay_ms, jitter_ms: arrivals are late by delay + jitter ± jitter, evenly.
-        exposure_jitter_ms: exposures are off their beat by up to this, either way; timestamps tell.
-        loss, duplicate: share of frames that never come, or come twice.
-        reorder: share of frames that come right after the one that follows them.
-        frozen, garbage, dark: stretches of the same picture, of noise, of no valid depth.
-        stuck: a call does not return; the last frame of the stretch comes at its end, the others never.
-        unplugged: nothing comes; when the camera is back, its clock starts at zero.
+        offset_s, drift_ppm: offset of the camera's clock from the host's at the start, and its drift.
+        jumps: (at, by) in seconds: jumps of the clock.
+        delay_ms, jitter_ms: arrivals are late by delay + jitter ± jitter, uniformly distributed.
+        exposure_jitter_ms: largest jitter of the exposures; timestamps contain it.
+        loss, duplicate: share of frames that never arrive, or arrive twice.
+        reorder: share of frames that arrive right after the next one.
+        frozen, garbage, dark: stretches with a constant picture, with noise, without valid depth.
+        stuck: a call does not return; the last frame of the stretch arrives at its end, the others never.
+        unplugged: no frames; afterwards the camera's clock starts at zero.
     """
 
     offset_s: float = 0.0
@@ -66,7 +66,7 @@ class Faults:
 
 @runtime_checkable
 class Scene(Protocol):
-    """What the cameras look at: raw depth of a camera at a time in seconds."""
+    """The cameras' scene: raw depth of a camera at a time in seconds."""
 
     @property
     def rig(self) -> Rig: ...
@@ -76,7 +76,7 @@ class Scene(Protocol):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Event:
-    """One delivery: what the camera says, when it arrives on the host, and when the frame was really exposed."""
+    """One delivery: the camera's timestamp, the time of arrival on the host, and the true time of exposure."""
 
     camera: str
     timestamp_ns: int
@@ -85,17 +85,17 @@ class Event:
     load: Callable[[], UInt16[ndarray, "h w"]]
 
     def frame(self, arrival_ns: int | None = None) -> DepthFrame:
-        """The frame as the host gets it, at its own time of arrival or at another."""
+        """The frame as the host gets it, at its time of arrival or at another."""
         clock = f"clock of {self.camera}"
         arrival_ns = self.arrival_ns if arrival_ns is None else arrival_ns
         return DepthFrame(self.camera, self.load(), self.timestamp_ns, clock, arrival_ns)
 
 
 class RecordedScene:
-    """A recording played forwards and backwards for ever, so that it neither ends nor jumps; held in memory."""
+    """A recording played forwards and backwards without end, so that it has no jump; held in memory."""
 
     def __init__(self, source: Iterable[FrameSet], rig: Rig, rate_hz: float, sets: int | None = None) -> None:
-        """Read the first ``sets`` sets, all by default; a camera's lost frames show the one before.
+        """Read the first ``sets`` sets, all by default; a missing frame of a camera repeats the one before.
 
         Raises:
             InputError: when a camera of the rig has no frame.
@@ -107,26 +107,26 @@ class RecordedScene:
                 break
             for view in frames.views:
                 raw = np.round(view.depth_m / view.camera.depth_unit_m).astype(np.uint16)
-                own = self._frames[view.camera.name]
-                own.extend([raw] * (i + 1 - len(own)))
-        for name, own in self._frames.items():
-            if not own:
+                camera_frames = self._frames[view.camera.name]
+                camera_frames.extend([raw] * (i + 1 - len(camera_frames)))
+        for name, camera_frames in self._frames.items():
+            if not camera_frames:
                 raise InputError(f"camera {name!r} has no frames to simulate it with: take it out of the rig")
 
     def depth(self, camera: str, time_s: float) -> UInt16[ndarray, "h w"]:
         """The recorded frame of a time (seconds, not negative)."""
-        own = self._frames[camera]
-        around = round(time_s * self._rate_hz) % max(2 * len(own) - 2, 1)
-        return own[min(around, 2 * len(own) - 2 - around)] if around >= len(own) else own[around]
+        frames = self._frames[camera]
+        around = round(time_s * self._rate_hz) % max(2 * len(frames) - 2, 1)
+        return frames[min(around, 2 * len(frames) - 2 - around)] if around >= len(frames) else frames[around]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Simulation:
-    """Cameras that look at a scene.
+    """Simulated cameras of a scene.
 
     Attributes:
         faults: by camera; none for cameras that are not named.
-        phases: of each camera's exposures, as a share of the period; by default they expose together.
+        phases: phase of each camera's exposures, as a share of the period; by default they expose together.
         start_ns: host time at the start.
     """
 
@@ -190,14 +190,14 @@ class Simulation:
 def _deliveries(
     exposure_s: Float[ndarray, " n"], faults: Faults, rng: np.random.Generator
 ) -> tuple[Float[ndarray, " n"], Bool[ndarray, " n"]]:
-    """When each frame arrives, and whether it does."""
+    """Time of arrival of each frame, and whether it arrives."""
     count = len(exposure_s)
     arrival_s = exposure_s + (faults.delay_ms + rng.uniform(0, 2, count) * faults.jitter_ms) * 1e-3
     kept = (rng.random(count) >= faults.loss) & ~_within(exposure_s, faults.unplugged)
     for from_s, to_s in faults.stuck:
-        held = np.flatnonzero((exposure_s >= from_s) & (exposure_s < to_s) & kept)
-        kept[held[:-1]] = False
-        arrival_s[held[-1:]] = to_s
+        blocked = np.flatnonzero((exposure_s >= from_s) & (exposure_s < to_s) & kept)
+        kept[blocked[:-1]] = False
+        arrival_s[blocked[-1:]] = to_s
     late = np.flatnonzero(rng.random(count - 1) < faults.reorder)
     arrival_s[late] = arrival_s[late + 1] + 1e-4
     return arrival_s, kept
@@ -227,7 +227,7 @@ def _within(times_s: Any, stretches: Stretches) -> Any:
 class SimulatedCamera(DepthSource):
     """One camera of a simulation as a source, in real time from ``zero_ns`` (``time.monotonic_ns``) on.
 
-    While it is unplugged it is lost and cannot be opened. A stuck call returns only when the stretch is over.
+    An unplugged camera is lost and cannot be opened. A stuck call returns only at the end of the stretch.
     """
 
     def __init__(self, simulation: Simulation, name: str, zero_ns: int) -> None:
@@ -252,7 +252,7 @@ class SimulatedCamera(DepthSource):
 
     def _open(self) -> DepthCamera:
         self._check()
-        # What was not read before it was lost is gone.
+        # Frames that were not read before the loss are gone.
         while self._lost and self._next is not None and self._due_s(self._next) < self._now_s():
             self._next = next(self._events, None)
         self._lost = False

@@ -27,8 +27,10 @@ from depthmocap.synth.writing.units import Layout, Unit, make_unit, open_folder
 from depthmocap.synth.writing.workers import ordered
 
 _VIEWS = 3
-#: Samples a task, and tasks a timed run.
-_SAMPLES, _TASKS = 20, 12
+#: Samples per task.
+_SAMPLES = 20
+#: Tasks per timed run.
+_TASKS = 12
 _DRESSED = Recipe("open", views=_VIEWS, sensors=("kinect2",), noise="sensor")
 
 
@@ -59,7 +61,7 @@ def _furnished(first: int) -> int:
 
 
 def _milliseconds(function: Callable[[int], int], workers: int) -> Timing:
-    """Wall-clock time a frame, over runs of as many tasks after a warm-up, process starts not counted."""
+    """Wall-clock time per frame over runs of ``_TASKS`` tasks after a warm-up, without the start of the processes."""
     tasks: Iterable[int] = range(0, 4 * _TASKS * _SAMPLES, _SAMPLES)
     times, frames, start = [], 0, 0.0
     for done, made in enumerate(ordered(function, tasks, workers), 1):
@@ -80,20 +82,20 @@ def frames(bench: Bench) -> None:
         ("Make a frame: dressed, Kinect 2's errors", _dressed, 4.0),
         ("Make a frame: the same in a furnished room", _furnished, None),
     ):
-        found = _milliseconds(function, workers)
-        rate = f"{1000 / found.median_ms:.0f} frames a second by {workers} processes"
-        bench.rows.append(Row(what, found, goal_ms=goal_ms, note=rate))
+        timing = _milliseconds(function, workers)
+        rate = f"{1000 / timing.median_ms:.0f} frames a second by {workers} processes"
+        bench.rows.append(Row(what, timing, goal_ms=goal_ms, note=rate))
 
 
 @dataclasses.dataclass(frozen=True)
 class Written:
-    """What a set cost to write with so many processes at work.
+    """Cost of writing a set with ``workers`` processes.
 
     Attributes:
-        seconds: wall-clock time of ``frames``, after every process has written a unit.
-        start_s: until every process has drawn its first sample, which ``seconds`` leaves out.
-        driver_s: processor time of this process for ``all_frames``: storing truths, all but which scales with cores.
-        size_bytes: files of ``all_frames``.
+        seconds: wall-clock time of ``frames``, after each process has written a unit.
+        start_s: time until each process has drawn its first sample, not part of ``seconds``.
+        driver_s: CPU time of this process for ``all_frames``, to store the ground truth; it does not scale with cores.
+        size_bytes: size of the files of ``all_frames``.
     """
 
     workers: int
@@ -115,7 +117,7 @@ def _first(number: int) -> None:
 
 
 def write_set(folder: Path, layout: Layout, noise: Noise, samples: int, workers: int) -> Written:
-    """Write a set of the paper's hard kind as ``depthmocap synth`` does; ``folder`` must not be there."""
+    """Write a set of the paper's hard kind as ``depthmocap synth`` does; ``folder`` must not exist."""
     start = time.perf_counter()
     for _ in ordered(_first, range(workers), workers):
         pass
@@ -142,7 +144,7 @@ def write_set(folder: Path, layout: Layout, noise: Noise, samples: int, workers:
 
 
 def written(bench: Bench) -> None:
-    """Frames of the paper's hard set on disk, starts of the processes left out and named."""
+    """Frames of the paper's hard set on disk, without the start of the processes, which the note gives."""
     samples = max(2002, 600 * bench.threads)
     cases: tuple[tuple[Layout, Noise, float | None], ...] = (
         ("ubc3v", "none", 1000 / 150),
@@ -150,11 +152,11 @@ def written(bench: Bench) -> None:
         ("shards", "none", None),
     )
     for layout, noise, goal_ms in cases:
-        found = write_set(bench.folder / f"{layout}-{noise}", layout, noise, samples, bench.threads)
-        milliseconds = 1000 / found.frames_a_second
+        cost = write_set(bench.folder / f"{layout}-{noise}", layout, noise, samples, bench.threads)
+        milliseconds = 1000 / cost.frames_a_second
         note = (
-            f"{found.frames_a_second:.0f} frames a second by {found.workers} processes, of {found.frames} frames; "
-            f"before it {found.start_s:.1f} s of start; {found.size_bytes / found.all_frames / 1000:.1f} kB a frame"
+            f"{cost.frames_a_second:.0f} frames a second by {cost.workers} processes, of {cost.frames} frames; "
+            f"before it {cost.start_s:.1f} s of start; {cost.size_bytes / cost.all_frames / 1000:.1f} kB a frame"
         )
         what = f"Write a frame: hard, {layout}" + ("" if noise == "none" else ", Kinect 2's errors")
         timing = Timing(milliseconds, milliseconds, milliseconds, 1)

@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     from depthmocap.classify.window import NetworkName
     from depthmocap.train.networks import Network
 
-#: Of a view where four are labelled in one call; and how many times as long the paper's network must take.
+#: Goal per view, milliseconds, where four views are labelled in one call.
 GOALS_MS: dict[NetworkName, float] = {"fast": 6.0}
+#: Goal of the ratio of the paper network's time to ours.
 GOAL_RATIO = 4.0
 
 
@@ -46,7 +47,7 @@ def random_classifier(bench: Bench, name: NetworkName, integer: bool = False) ->
 
 def size(network: Network) -> str:
     """Weights and biases of a network, and the operations (a multiply-add counted as two) of its convolutions and
-    deconvolutions for a view: without our head, which the person's pixels alone have."""
+    deconvolutions for a view, without our head, which only the person's pixels have."""
     import torch
     from torch import Tensor, nn
 

@@ -1,9 +1,9 @@
-"""What a large set costs: the table of docs/guides/data.md, from rates measured here and now.
+"""Cost of a large set: the table of docs/guides/data.md, from rates measured on this machine.
 
     python benchmarks/planning.py [--frames 6000000] [--noise sensor] [--samples 2002]
 
-Writes ``--samples`` of the paper's hard set in both layouts, prints the rates, then the table. Cores are taken to add
-up; what the one process that stores the truths can take at most is measured, and bounds the rest.
+Writes ``--samples`` of the paper's hard set in both layouts, prints the rates, then the table. Rates are assumed to
+grow with the cores, up to the measured rate of the one process that stores the ground truth.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ class Settings:
     """Measure, and plan.
 
     Attributes:
-        frames: of the planned set, three to a sample.
+        frames: number of frames of the planned set, three per sample.
         noise: of the depth.
-        samples: written to measure.
-        workers: processes; all usable cores by default.
-        core_hour: its price.
-        gigabyte_month: the price of keeping a gigabyte for a month.
+        samples: number of samples written for the measurement.
+        workers: number of processes; by default one per usable core.
+        core_hour: price of an hour of a core.
+        gigabyte_month: price of storing a gigabyte for a month.
     """
 
     frames: int = 6_000_000
@@ -50,7 +50,7 @@ class Settings:
 
 
 def duration(seconds: float) -> str:
-    """As a person would say it."""
+    """A time in minutes or hours."""
     return f"{seconds / 3600:.1f} h" if seconds >= 5400 else f"{seconds / 60:.0f} min"
 
 

@@ -35,9 +35,17 @@ from depthmocap.synth.scenes.room import Box, Room, render_room
 from depthmocap.synth.sensing.sensor import sense
 from depthmocap.synth.sensing.sensors import SENSORS
 
-#: Of a view: its people. Of four views: features; joints; and a frame set from masked depth, and the same at p95.
-SEGMENT_GOAL_MS, FEATURES_GOAL_MS, POSE_GOAL_MS, SET_GOAL_MS, SET_P95_GOAL_MS = 3.0, 4.0, 8.0, 33.3, 60.0
-#: As near as a body fits into a Kinect 2's picture: about 30,000 pixels.
+#: Goal of the segmentation of a view, milliseconds.
+SEGMENT_GOAL_MS = 3.0
+#: Goal of the features of four views, milliseconds.
+FEATURES_GOAL_MS = 4.0
+#: Goal of the joints of four views, milliseconds.
+POSE_GOAL_MS = 8.0
+#: Goal of a set of four views from masked depth, median, milliseconds.
+SET_GOAL_MS = 33.3
+#: The same, 95th percentile, milliseconds.
+SET_P95_GOAL_MS = 60.0
+#: The distance at which a body just fits into a Kinect 2's picture: about 30,000 pixels.
 _NEAR = CameraRange(distance_m=(1.4, 1.4), height_m=(0.8, 1.2), aim_m=0.0)
 
 
@@ -102,13 +110,13 @@ def _plain_joints(model: RidgePose, parts: list[LabelledView]) -> tuple[ndarray,
     centre = np.zeros(3) if model.frame == "world" else np.median(points, axis=0)
     features = np.full((REGION_COUNT, FEATURES_PER_REGION), np.nan)
     for region in range(1, REGION_COUNT + 1):
-        own = points[regions == region] - centre
-        if len(own) >= MIN_POINTS:
-            covariance = np.cov(own, rowvar=False, bias=True)
+        region_points = points[regions == region] - centre
+        if len(region_points) >= MIN_POINTS:
+            covariance = np.cov(region_points, rowvar=False, bias=True)
             features[region - 1] = np.concatenate(
                 [
-                    np.median(own, axis=0), covariance.ravel(), np.linalg.eigvalsh(covariance), own.std(0),
-                    own.min(0), own.max(0),
+                    np.median(region_points, axis=0), covariance.ravel(), np.linalg.eigvalsh(covariance),
+                    region_points.std(0), region_points.min(0), region_points.max(0),
                 ]
             )  # fmt: skip
     x = np.nan_to_num((features.ravel() - model.mean) / model.scale)
@@ -126,8 +134,8 @@ def segmentation(bench: Bench) -> None:
     room = render_room(Room(Box((x - 3, y - 3.5, floor), (x + 3, y + 2.5, floor + 2.6)), (chest,)), camera)
     model = SENSORS["kinect2"].model
     background = sense(room, None, camera, model, rng)
-    seen = render_person(posed, camera, room)
-    view, truth = View(camera, sense(seen.depth_m, seen.material, camera, model, rng)), seen.person
+    rendering = render_person(posed, camera, room)
+    view, truth = View(camera, sense(rendering.depth_m, rendering.material, camera, model, rng)), rendering.person
     segmenter, now_ns = PeopleSegmenter({camera.name: background}), 0
 
     def ours() -> tuple[PersonMasks, ...]:
@@ -138,9 +146,9 @@ def segmentation(bench: Bench) -> None:
     def plain() -> ndarray:
         return (view.depth_m > 0) & (view.depth_m < background - 0.05)
 
-    people = [ours() for _ in range(30)][-1]  # who must be seen for a while
-    found = people[0].masks[0] if people else np.zeros_like(truth)
-    shares = [_overlap(mask, truth & (view.depth_m > 0)) for mask in (found, plain())]
+    people = [ours() for _ in range(30)][-1]  # a person is reported only after a while
+    detected = people[0].masks[0] if people else np.zeros_like(truth)
+    shares = [_overlap(mask, truth & (view.depth_m > 0)) for mask in (detected, plain())]
     bench.measure(
         "Find the person in a view", ours, Reference("bare threshold (a floor)", plain), goal_ms=SEGMENT_GOAL_MS,
         note=f"overlap with the truth {shares[0]:.1%}, of the threshold {shares[1]:.1%}",

@@ -1,4 +1,4 @@
-"""Rows of recording, and the comparison by which the coding of depth was chosen.
+"""Rows of recording, and a comparison of codings of depth.
 
     python benchmarks/record_rows.py [--samples 8]
 
@@ -29,12 +29,12 @@ from depthmocap.recordings.mcap_recording import McapRecording
 from depthmocap.recordings.mcap_writer import McapWriter
 from depthmocap.synth.sample import Recipe, Sampler
 
-#: 200 frames a second.
+#: Goal of coding a frame, milliseconds: 200 frames per second.
 CODE_GOAL_MS = 5.0
 
 
 def kinect_frames(samples: int) -> list[ndarray]:
-    """Raw depth (millimetres, uint16, 424×512) of three views a sample."""
+    """Raw depth (millimetres, uint16, 424×512) of three views per sample."""
     draw = Sampler(Recipe("open", sensors=("kinect2",), noise="sensor", scene="full"), seed=6)
     views = [view for i in range(samples) for view in draw(i).views]
     return [np.round(view.depth_m / view.camera.depth_unit_m).astype(np.uint16) for view in views]
@@ -158,7 +158,7 @@ def _codings() -> dict[str, tuple[Callable[[ndarray], bytes], Callable[[bytes], 
 
 
 def _entropy_bits(frames: Sequence[ndarray]) -> float:
-    """Bits a pixel of the differences to the left neighbour: what a coding of them alone cannot beat."""
+    """Entropy in bits per pixel of the differences to the left neighbour: the limit of a coding of them alone."""
     deltas = np.concatenate([np.diff(raw.astype(np.int32), axis=1, prepend=0).ravel() for raw in frames])
     share = np.unique(deltas, return_counts=True)[1] / deltas.size
     return float(-(share * np.log2(share)).sum())
@@ -170,7 +170,7 @@ class Settings:
 
     Attributes:
         samples: generated people in rooms, of three views each.
-        rounds: each coding is measured so often, in turns with the others.
+        rounds: number of measurements of each coding, in turns with the others.
     """
 
     samples: int = 8

@@ -1,4 +1,4 @@
-"""How fast each stage is, beside the reference that a user would otherwise run.
+"""Speed of each stage, compared with a reference that a user would otherwise run.
 
     python benchmarks/run.py [--quick] [--json FILE]
 
@@ -33,7 +33,7 @@ from timing import Bench, Row, Timing
 from depthmocap.core.cores import usable_cores
 from depthmocap.errors import InputError
 
-#: Load per core at the start from which on numbers mean little.
+#: Load per core at the start above which the numbers mean little.
 _BUSY = 0.5
 _PACKAGES = ("depthmocap", "numpy", "numba", "onnxruntime", "torch", "anny", "embreex")
 
@@ -47,7 +47,7 @@ class Settings:
         quick: few runs, for a look.
         runs: timed runs of each function.
         threads: of the networks, ours and the references'; 0 for as many as this process may use.
-        seconds: that four cameras are run for without rest.
+        seconds: how long four cameras run without rest.
         recording: a recording for the whole pipeline instead of the packaged one.
     """
 
@@ -60,7 +60,7 @@ class Settings:
 
 
 def machine() -> dict[str, Any]:
-    """What the numbers depend on."""
+    """The machine and the versions that the numbers depend on."""
     return {
         "platform": platform.platform(),
         "processor": _processor(),
@@ -73,7 +73,7 @@ def machine() -> dict[str, Any]:
 
 
 def _processor() -> str:
-    """The processor's name: Python knows it on few systems, Linux tells it in a file."""
+    """The processor's name: Linux has it in a file, elsewhere Python may know it."""
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.is_file():
         for line in cpuinfo.read_text(encoding="utf-8").splitlines():
@@ -120,29 +120,29 @@ def measure(settings: Settings, folder: Path, console: Console) -> Bench:
 
 def table(bench: Bench, caption: str) -> Table:
     """The rows as a table."""
-    made = Table(title=f"milliseconds, median of {bench.runs} runs", caption=caption, caption_justify="left")
-    made.add_column("what")
-    made.add_column("ours", justify="right")
-    made.add_column("p95", justify="right")
-    made.add_column("goal", justify="right")
-    made.add_column("reference")
-    made.add_column("its ms", justify="right")
-    made.add_column("p95", justify="right")
-    made.add_column("ratio", justify="right")
-    made.add_column("same")
-    made.add_column("note", style="dim")
+    rows_table = Table(title=f"milliseconds, median of {bench.runs} runs", caption=caption, caption_justify="left")
+    rows_table.add_column("what")
+    rows_table.add_column("ours", justify="right")
+    rows_table.add_column("p95", justify="right")
+    rows_table.add_column("goal", justify="right")
+    rows_table.add_column("reference")
+    rows_table.add_column("its ms", justify="right")
+    rows_table.add_column("p95", justify="right")
+    rows_table.add_column("ratio", justify="right")
+    rows_table.add_column("same")
+    rows_table.add_column("note", style="dim")
     before: Row | None = None
     for row in bench.rows:
-        # What the row above has said already is left out.
+        # Cells equal to those of the row above stay empty.
         what = "" if before and row.what == before.what else row.what
         note = "" if before and row.note == before.note else row.note
         before = row
-        made.add_row(
+        rows_table.add_row(
             what, *_times(row.ours), _goal(row), row.reference_name, *_times(row.reference),
             "" if row.ratio is None else f"{row.ratio:.2f}×",
             {None: "", True: "yes", False: "[red]NO"}[row.agrees], note,
         )  # fmt: skip
-    return made
+    return rows_table
 
 
 def _times(timing: Timing | None) -> tuple[str, str]:

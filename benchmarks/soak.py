@@ -1,7 +1,7 @@
-"""Four simulated cameras in real time through the whole pipeline, recorded meanwhile: how fast, how late, what is lost,
-and does it last?
+"""A soak test: four simulated cameras in real time through the whole pipeline, with recording. It measures rate,
+latency, losses and the growth of memory.
 
-    python benchmarks/soak.py --minutes 30 --json soak.json              # with everything that goes wrong with cameras
+    python benchmarks/soak.py --minutes 30 --json soak.json              # with all faults of cameras
     python benchmarks/soak.py --minutes 10 --no-faults --json live.json  # perfect cameras: rate, latency, losses
 
 The cameras are Kinects of 512×424 around a moving person in a furnished room, generated (extra ``train``) and played
@@ -38,13 +38,20 @@ from depthmocap.recordings.mcap_recording import McapRecording
 from depthmocap.recordings.mcap_writer import McapWriter
 from depthmocap.recordings.open_recording import open_recording
 
-#: Memory counts from here on (or from half of a shorter run), and is looked at so often. For the first quarter of an
-#: hour every kind of fault that comes for the first time takes some buffers more.
-WARM_UP_S, LOOK_S = 900.0, 5.0
-#: A recording goes on in a new file after so many frames, and the file before is deleted: 30 minutes would need 40 GB.
-FRAMES_A_FILE = 8_000
-#: Goals: sets a second, as a share of the cameras' rate; latency; raw bytes by bytes of the file; growth.
-SHARE_GOAL, P95_GOAL_MS, RATIO_GOAL, GROWTH_GOAL_MB_MIN = 0.995, 80.0, 2.5, 0.1
+#: Time after which memory counts, seconds; half of a shorter run. Before, each new kind of fault allocates buffers.
+WARM_UP_S = 900.0
+#: Time between two measurements of memory, seconds.
+MEMORY_EVERY_S = 5.0
+#: Frames per file of the recording; older files are deleted, because 30 minutes would need 40 GB.
+FRAMES_PER_FILE = 8_000
+#: Goal of the rate of frame sets, as a share of the cameras' rate.
+SHARE_GOAL = 0.995
+#: Goal of the latency's 95th percentile, milliseconds.
+P95_GOAL_MS = 80.0
+#: Goal of the compression: raw bytes by bytes of the file.
+RATIO_GOAL = 2.5
+#: Goal of the growth of memory, MB per minute.
+GROWTH_GOAL_MB_MIN = 0.1
 KINDS = ("frozen", "garbage", "dark", "stuck", "unplugged", "jumps")
 
 
@@ -53,12 +60,12 @@ class SoakSettings:
     """A long run.
 
     Attributes:
-        recording: what the cameras see; by default it is generated.
-        scene_seconds: so much of it is generated, and held in memory.
-        rate_hz: of the cameras.
-        faults: without, the cameras are perfect.
-        record: record meanwhile, to a folder that is deleted at the end.
-        folder: where that is made; by default where the system keeps such.
+        recording: the cameras' scene; by default it is generated.
+        scene_seconds: length of the generated scene, which is held in memory.
+        rate_hz: frame rate of the cameras.
+        faults: simulate faults of the cameras.
+        record: also record, to a folder that is deleted at the end.
+        folder: where that folder is made; by default the system's folder for temporary files.
         json: file for all numbers.
     """
 
@@ -72,9 +79,9 @@ class SoakSettings:
     json: Path | None = None
 
 
-def faults_of(index: int, seconds: float) -> Faults:
-    """A camera's own troubles: all the time some loss, delay, jitter, disorder and drift; and in turns one of ``KINDS``
-    for some seconds of every minute, or more often in a short run, so that each comes at least once."""
+def camera_faults(index: int, seconds: float) -> Faults:
+    """Faults of a camera: constant loss, delay, jitter, reordering and drift; and one of ``KINDS`` in turns for some
+    seconds of each minute, more often in a short run, so that each occurs at least once."""
     every_s = min(60.0, seconds / (len(KINDS) + 1))
     stretches: dict[str, list[tuple[float, float]]] = {kind: [] for kind in KINDS}
     for turn in range(int(seconds / every_s)):
@@ -92,12 +99,13 @@ def faults_of(index: int, seconds: float) -> Faults:
 
 
 class RollingRecorder:
-    """Records every frame, in files of which the last two are kept.
+    """Records all frames, in files of which the last two are kept.
 
     Attributes:
-        offered: frames that were to be recorded, by camera.
-        written: those that were.
-        raw_bytes, file_bytes: of files that are closed.
+        offered: number of frames passed to the recorder, by camera.
+        written: number of frames written, by camera.
+        raw_bytes: size of the frames in closed files, uncompressed.
+        file_bytes: size of the closed files.
     """
 
     def __init__(self, folder: Path, rig: Rig) -> None:
@@ -105,7 +113,7 @@ class RollingRecorder:
         self.raw_bytes = self.file_bytes = 0
         self._folder, self._rig, self._lock = folder, rig, threading.Lock()
         self._cameras: dict[str, DepthCamera] = {camera.name: camera for camera in rig.cameras}
-        #: The one in use last. Others may still be writing to the one before, but not to any that came before it.
+        #: The last one is in use. Threads may still write to the one before it, but not to earlier ones.
         self._files: list[tuple[McapWriter, McapRecorder]] = []
         self._made = 0
         self._begin()
@@ -114,13 +122,13 @@ class RollingRecorder:
         """Add a frame, from any thread."""
         with self._lock:
             self.offered[frame.camera] += 1
-            if self.offered.total() > FRAMES_A_FILE * self._made:
+            if self.offered.total() > FRAMES_PER_FILE * self._made:
                 self._begin()
             recorder = self._files[-1][1]
         recorder.write(frame)
 
     def close(self) -> McapRecording:
-        """Finish; gives the last recording, to look at."""
+        """Finish; returns the last recording."""
         while len(self._files) > 1:
             self._finish()
         last = self._files[0][0]
@@ -145,7 +153,7 @@ class RollingRecorder:
 
 
 def _memory_mb() -> float:
-    """Resident now, where the system tells; otherwise the most so far."""
+    """Resident memory (MB) where the system gives it; otherwise the peak so far."""
     status = Path("/proc/self/status")
     if status.exists():
         line = next(line for line in status.read_text(encoding="utf-8").splitlines() if line.startswith("VmRSS"))
@@ -180,7 +188,7 @@ def _windows_memory_mb() -> float:
 
 
 def prepare(settings: SoakSettings) -> tuple[RecordedScene, Pipeline]:
-    """What the cameras see, and the pipeline, warmed up. The empty scene is known."""
+    """The cameras' scene, and the pipeline after a warm-up. The empty scene is known."""
     if settings.recording is not None:
         source = open_recording(settings.recording)
         rig = Rig(tuple(camera for camera in source.rig.cameras if source.stamps(camera.name)), source.up)
@@ -199,7 +207,7 @@ def soak(settings: SoakSettings, folder: Path, console: Console) -> dict[str, An
     with console.status("making what the cameras see"):
         scene, pipeline = prepare(settings)
     rig, seconds = scene.rig, settings.minutes * 60
-    faults = {name: faults_of(i, seconds) for i, name in enumerate(rig.names)} if settings.faults else {}
+    faults = {name: camera_faults(i, seconds) for i, name in enumerate(rig.names)} if settings.faults else {}
     simulation = Simulation(scene, settings.rate_hz, seconds, faults)
     sent = {name: sum(1 for _ in simulation.camera_events(name)) for name in rig.names}
     recorder = RollingRecorder(folder, rig) if settings.record else None
@@ -212,7 +220,7 @@ def soak(settings: SoakSettings, folder: Path, console: Console) -> dict[str, An
         begun, cpu = time.monotonic(), time.process_time()
         for _ in capture:
             elapsed = time.monotonic() - begun
-            if not memory or elapsed - memory[-1][0] >= LOOK_S:
+            if not memory or elapsed - memory[-1][0] >= MEMORY_EVERY_S:
                 memory.append((elapsed, _memory_mb()))
         elapsed, cpu = time.monotonic() - begun, time.process_time() - cpu
         statuses = capture.statuses()
@@ -228,7 +236,7 @@ def soak(settings: SoakSettings, folder: Path, console: Console) -> dict[str, An
         "frames_sent": sent,
         "cameras": {status.name: dataclasses.asdict(status) for status in statuses},
         "problems": dict(capture.problems),
-        "faults": {name: dataclasses.asdict(each) for name, each in faults.items()},
+        "faults": {name: dataclasses.asdict(fault) for name, fault in faults.items()},
     }
     numbers["settings"] |= {key: str(value) for key, value in numbers["settings"].items() if isinstance(value, Path)}
     if recorder is not None:
@@ -282,21 +290,21 @@ def tables(numbers: dict[str, Any]) -> list[Table]:
         row("frames not recorded", str(recording["lost"]), "0", recording["lost"] == 0)
         row("compression", f"{recording['ratio']:.2f}:1", f"≥ {RATIO_GOAL:g}", recording["ratio"] >= RATIO_GOAL)
         row("last file whole", "yes" if recording["last_file_complete"] else "NO")
-    each = Table(title="frames by camera", title_justify="left")
+    cameras = Table(title="frames by camera", title_justify="left")
     columns = ("sent", "read", "used", "missing", "late", "duplicates", "reordered", "unsure")
-    ailments = ("frozen", "noise", "dark", "clock", "size")
-    more = ("outages", "clock jumps", "opened in vain", "drift ppm")
-    for column in ("camera", *columns, *ailments, *more):
-        each.add_column(column, justify="left" if column == "camera" else "right")
+    fault_names = ("frozen", "noise", "dark", "clock", "size")
+    other_columns = ("outages", "clock jumps", "opened in vain", "drift ppm")
+    for column in ("camera", *columns, *fault_names, *other_columns):
+        cameras.add_column(column, justify="left" if column == "camera" else "right")
     for name, status in numbers["cameras"].items():
         counts = status["counts"]
-        ill = [counts.get(ailment, 0) for ailment in ailments]
-        counts |= {"sent": numbers["frames_sent"][name], "read": counts["frames"] + sum(ill)}
-        each.add_row(
-            name, *(str(counts[column]) for column in columns), *map(str, ill), str(counts.get("outages", 0)),
+        fault_counts = [counts.get(fault_name, 0) for fault_name in fault_names]
+        counts |= {"sent": numbers["frames_sent"][name], "read": counts["frames"] + sum(fault_counts)}
+        cameras.add_row(
+            name, *(str(counts[column]) for column in columns), *map(str, fault_counts), str(counts.get("outages", 0)),
             str(status["clock_restarts"]), str(status["opened_in_vain"]), f"{status['drift_ppm']:.1f}",
         )  # fmt: skip
-    return [run, each]
+    return [run, cameras]
 
 
 def main(settings: SoakSettings) -> None:

@@ -1,4 +1,4 @@
-"""Four Kinects around the demo's person in the demo's room, with the sensor's errors: what a soak looks at."""
+"""Four Kinects around the demo's person in the demo's room, with the sensor's errors: the scene of a soak test."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from depthmocap.synth.sensing.sensor import sense
 from depthmocap.synth.sensing.sensors import SENSORS
 
 SENSOR = SENSORS["kinect2"]
-#: Of each camera: azimuth (degrees), distance to the room's middle and height (metres), and the height it looks at.
+#: Of each camera: azimuth (degrees), distance from the room's middle, height, and the height of its aim (metres).
 _MOUNTS = ((8.0, 2.6, 1.2, 1.1), (100.0, 2.65, 1.9, 1.05), (188.0, 2.4, 1.5, 1.1), (-85.0, 2.6, 1.0, 1.1))
 
 
@@ -28,7 +28,7 @@ class Studio:
 
     Attributes:
         rig: four cameras of 512×424.
-        backgrounds_m: what each reads of the empty room.
+        backgrounds_m: depth of the empty room by camera name, as the sensor reads it.
     """
 
     def __init__(self, seconds: float, rate_hz: float, seed: int = 0) -> None:
@@ -55,6 +55,6 @@ class Studio:
         for time_s, posed in zip(self._times_s, pose_sequence(body, demo_motion(body, self._times_s)), strict=True):
             views = []
             for camera in self.rig.cameras:
-                seen = render_person(posed, camera, self._rooms[camera.name])
-                views.append(View(camera, sense(seen.depth_m, seen.material, camera, SENSOR.model, rng)))
+                rendering = render_person(posed, camera, self._rooms[camera.name])
+                views.append(View(camera, sense(rendering.depth_m, rendering.material, camera, SENSOR.model, rng)))
             yield FrameSet(round(float(time_s) * 1e9), tuple(views), posed.joints)

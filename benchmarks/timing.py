@@ -1,4 +1,4 @@
-"""Timing of two functions side by side, and the rows that come of it."""
+"""Timing of two functions in turns, and the rows of the table."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy import ndarray
 
-#: Rest before every timed run: thread pools keep spinning after their work, which slows whatever runs next on the same
-#: cores. A camera at 20 frames a second gives as much.
+#: Rest before each timed run, seconds: thread pools spin after their work, which slows the next function on the same
+#: cores. A camera at 20 frames per second leaves as much time.
 PAUSE_S = 0.05
 
 
@@ -33,7 +33,7 @@ class Timing:
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One line of the table. ``agrees`` tells whether ours and the reference gave the same, None if not compared."""
+    """One line of the table. ``agrees``: whether ours and the reference gave the same result, None if not compared."""
 
     what: str
     ours: Timing
@@ -45,7 +45,7 @@ class Row:
 
     @property
     def ratio(self) -> float | None:
-        """How many times ours is as fast as the reference."""
+        """The reference's median time divided by ours."""
         return None if self.reference is None else self.reference.median_ms / self.ours.median_ms
 
     @property
@@ -56,7 +56,7 @@ class Row:
 
 @dataclasses.dataclass(frozen=True)
 class Reference:
-    """What ours is measured against; ``items`` are made in one call."""
+    """The function that ours is compared with; one call makes ``items``."""
 
     name: str
     call: Callable[[], object]
@@ -65,7 +65,7 @@ class Reference:
 
 @dataclasses.dataclass(frozen=True)
 class Bench:
-    """How to measure, and what was measured. ``threads`` are those of the networks, on either side."""
+    """Settings of the measurement, and its rows. ``threads`` are those of the networks of both sides."""
 
     runs: int
     warm_up: int
@@ -85,7 +85,7 @@ class Bench:
         agrees: bool | None = None,
         note: str = "",
     ) -> None:
-        """Time ours and the reference in turns and add the row. ``items`` are what one call of ours makes."""
+        """Time ours and the reference in turns and add the row. One call of ours makes ``items``."""
         calls = [ours] if reference is None else [ours, reference.call]
         times = interleave(calls, self.runs, self.warm_up)
         self.rows.append(

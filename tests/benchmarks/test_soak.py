@@ -24,7 +24,7 @@ def soak(monkeypatch, virtual):
     spec.loader.exec_module(module)
     monkeypatch.setattr(module, "time", virtual)
     monkeypatch.setattr(module, "load_pipeline", lambda *arguments, **others: fake_pipeline())
-    monkeypatch.setattr(module, "FRAMES_A_FILE", 200)
+    monkeypatch.setattr(module, "FRAMES_PER_FILE", 200)
     return module
 
 

@@ -13,7 +13,7 @@ from depthmocap.train.networks import (  # noqa: E402
     CLASSES,
     FastNet,
     _Groups,
-    _twice,
+    _upsample,
     masked_outputs,
 )
 
@@ -88,7 +88,7 @@ def test_labels_of_groups_are_those_of_the_dense_output() -> None:
 
 def test_enlargement_and_groups_are_torchs_own() -> None:
     x = torch.randn(2, 5, 6, 8)
-    torch.testing.assert_close(_twice(x), torch.nn.functional.interpolate(x, scale_factor=2, mode="nearest"))
+    torch.testing.assert_close(_upsample(x), torch.nn.functional.interpolate(x, scale_factor=2, mode="nearest"))
     assert torch.equal(_Groups()(x), torch.nn.functional.pixel_unshuffle(x, 2))
 
 
