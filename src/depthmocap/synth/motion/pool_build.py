@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -114,7 +114,7 @@ def build_pool(settings: PoolBuild) -> PosturePool:
     rng = np.random.default_rng(settings.seed)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:
-        read, skipped = _read_clips(folder, covers, progress)
+        read, skipped = _read_clips(folder.read(anny_rest()), len(folder), covers, progress)
         check_any_read(settings.clips, len(read), skipped)
         task = progress.add_task("picking postures", total=settings.count)
         parts, stops, done = [], {}, 0
@@ -140,13 +140,13 @@ def build_pool(settings: PoolBuild) -> PosturePool:
 
 
 def _read_clips(
-    folder: ClipFolder, covers: Sequence[Cover], progress: Progress
+    clips: Iterable[Clip | SkippedClip], count: int, covers: Sequence[Cover], progress: Progress
 ) -> tuple[list[Clip], list[SkippedClip]]:
     """Add the postures of all clips to the cover of their split; returns the clips, without postures."""
     read: list[Clip] = []
     skipped: list[SkippedClip] = []
-    task = progress.add_task("reading clips", total=len(folder))
-    for clip in folder.read(anny_rest()):
+    task = progress.add_task("reading clips", total=count)
+    for clip in clips:
         if isinstance(clip, Clip):
             split = SPLITS.index(clip.split)
             covers[split].add(clip.postures, np.full(len(clip.postures), _tag(len(read), clip.simple, 0)))
