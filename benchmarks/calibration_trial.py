@@ -118,7 +118,7 @@ def compare(path: Path, true_rig: Rig, calibration: Calibration) -> dict[str, An
         ]).max()),
         "joints cm, true rig": _joint_error_cm(path, true_rig),
         "joints cm, found rig": _joint_error_cm(path, calibration.rig),
-        "late_ms": {name: 1e3 * late_s for name, late_s in calibration.late_s.items()},
+        "late_ms": {name: 1e3 * offset_s for name, offset_s in calibration.offset_s.items()},
         "floor": calibration.floor,
         "grade": calibration.grade,
     }  # fmt: skip

@@ -136,7 +136,7 @@ class Itop:
     def _joints_world(self, row: int) -> Float[ndarray, "15 3"]:
         joints = self._joints[row]
         # A joint at the camera's position was not marked; one very far away is an error.
-        marked = (np.abs(joints) > 0).any(1) & (np.abs(joints) < FURTHEST_M).all(1)
+        marked = (np.abs(joints) > 0).any(1) & (np.abs(joints) < LARGEST_RIG_M).all(1)
         joints = np.where(marked[:, None], joints, np.nan)
         return transform_points(self._camera.world_from_camera @ _CAMERA_FROM_ITOP, joints)
 

@@ -137,7 +137,7 @@ def sense(
     materials = np.zeros(depth.shape, np.uint8) if material is None else np.ascontiguousarray(material[box])
     corner2 = (max(camera.cx, camera.width - camera.cx) ** 2) + max(camera.cy, camera.height - camera.cy) ** 2
     cx, cy = camera.cx - columns[0], camera.cy - rows[0]
-    read(
+    simulate_readings(
         _with_margin(depth, box, depth_m.shape),
         materials,
         np.array(model.reflectance, np.float32),
@@ -151,7 +151,7 @@ def sense(
         out[box],
     )
     if model.blend > 0:
-        blend(out.copy(), model.blend, seed + 4, out)
+        blend_edges(out.copy(), model.blend, seed + 4, out)
     return out
 
 
@@ -169,7 +169,7 @@ def _facing_share(depth: Float[ndarray, "h w"], camera: DepthCamera, model: Sens
     if model.multipath_m <= 0:
         return np.zeros((0, 0), np.float32)
     coarse = np.empty((-(-depth.shape[0] // FACING_STEP), -(-depth.shape[1] // FACING_STEP)), np.float32)
-    facing(depth, camera.fx, coarse)
+    facing_share(depth, camera.fx, coarse)
     return cv2.resize(coarse, depth.shape[::-1], interpolation=cv2.INTER_LINEAR)
 
 
@@ -179,7 +179,7 @@ def _silhouette_blocks(depth: Float[ndarray, "h w"], model: SensorModel) -> Bool
     if farthest_px <= 0 and model.flying <= 0:
         return np.zeros((0, 0), np.bool_)
     blocks = np.zeros((-(-depth.shape[0] // EDGE_BLOCK), -(-depth.shape[1] // EDGE_BLOCK)), np.bool_)
-    silhouettes(depth, int(min(np.ceil(farthest_px), MARGIN)) // EDGE_BLOCK + 1, blocks)
+    mark_silhouettes(depth, int(min(np.ceil(farthest_px), MARGIN)) // EDGE_BLOCK + 1, blocks)
     return blocks
 
 
