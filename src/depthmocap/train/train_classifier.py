@@ -289,7 +289,7 @@ def _batches(run: _Run, data: Dataset[LabelledWindow]) -> Iterator[LabelledBatch
     return training_batches(loader, settings.batch, settings.seed + run.images, "mirror" not in settings.without)
 
 
-@owns(folder="out")
+@locks_outputs(folder="out")
 def train_classifier(settings: ClassifierTraining) -> Path:
     """Train or resume training, and export; returns the ONNX file.
 
@@ -333,7 +333,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
 
 def _begin_worker(_: int) -> None:
     """Let SIGTERM end a worker at once: torch ends its workers so, and counts an exit as no failure."""
-    leave_ending_to_parent()
+    ignore_signals()
     signal.signal(signal.SIGTERM, lambda *_: os._exit(0))
 
 

@@ -132,7 +132,7 @@ def _make_set(settings: SynthSettings, cluster: RayCluster | None, console: Cons
     recipe = settings.recipe
     folder = settings.out / f"{recipe.subset}-pose" / recipe.split
     try:
-        with own_folder(folder):
+        with lock_folder(folder):
             if not (folder / "settings.json").exists() and (others := _others(folder)):
                 raise InputError(
                     f"{folder} holds files of something else ({', '.join(others[:3])}) and no settings.json: "
