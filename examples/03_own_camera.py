@@ -14,7 +14,6 @@ import numpy as np
 from numpy import ndarray
 
 import depthmocap
-from depthmocap.cameras.source import CameraError, FrameTimeoutError
 
 
 class Device:
@@ -56,7 +55,9 @@ class MyCamera(depthmocap.DepthSource):
 
     def _open(self) -> depthmocap.DepthCamera:
         if not self._folder.is_dir():
-            raise CameraError(f"camera {self.name!r}: there is no {self._folder}")  # one line that says what to do
+            raise depthmocap.CameraError(
+                f"camera {self.name!r}: there is no {self._folder}"
+            )  # one line that says what to do
         self._device = Device(self._folder)
         cx, cy = Device.centre_px
         return depthmocap.DepthCamera(
@@ -68,7 +69,7 @@ class MyCamera(depthmocap.DepthSource):
         try:
             picture = self._device.wait_for_picture(timeout_s)
         except TimeoutError:
-            raise FrameTimeoutError(f"camera {self.name!r}: no frame in {timeout_s:.1f} s") from None
+            raise depthmocap.FrameTimeoutError(f"camera {self.name!r}: no frame in {timeout_s:.1f} s") from None
         arrival_ns = time.monotonic_ns()  # before anything else is done
         if picture is None:
             return None

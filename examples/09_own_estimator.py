@@ -11,7 +11,7 @@ from numpy import ndarray
 import depthmocap
 from depthmocap.body.regions import REGION
 from depthmocap.classify.classifier import Classifier
-from depthmocap.pose.cloud import MIN_CLOUD_POINTS, LabelledCloud
+from depthmocap.pose.cloud import MIN_CLOUD_POINTS
 from depthmocap.pose.estimators import JOINT_REGIONS, load_estimator
 from depthmocap.segment.people_segmenter import PeopleSegmenter
 
@@ -19,7 +19,7 @@ from depthmocap.segment.people_segmenter import PeopleSegmenter
 class Middles:
     """A `JointEstimator`: a labelled cloud in, joints (metres, in the world) and their confidence out."""
 
-    def __call__(self, cloud: LabelledCloud, up: str = "z") -> tuple[ndarray, ndarray]:
+    def __call__(self, cloud: depthmocap.LabelledCloud, up: str = "z") -> tuple[ndarray, ndarray]:
         joints, confidence = np.full((len(depthmocap.JOINTS), 3), np.nan), np.zeros(len(depthmocap.JOINTS))
         if len(cloud) < MIN_CLOUD_POINTS:
             return joints, confidence  # nobody is there

@@ -32,12 +32,14 @@ if TYPE_CHECKING:
     from depthmocap.body.skeleton import JOINTS
     from depthmocap.calibration.calibrate import CalibrateSettings, Calibration, calibrate
     from depthmocap.cameras.registry import open_camera
-    from depthmocap.cameras.source import DepthFrame, DepthSource
+    from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, FrameTimeoutError
     from depthmocap.exporting import read_csv, write_bvh, write_csv, write_trc
     from depthmocap.exporting.run_result import RunResult
     from depthmocap.offline.pipeline import PersonResult, Pipeline, Result
     from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline, open_source
     from depthmocap.offline.run import RunSettings, run
+    from depthmocap.pose.cloud import LabelledCloud
+    from depthmocap.pose.estimators import JointEstimator
     from depthmocap.realtime.live_capture import LiveCapture, LivePose, live, live_people
     from depthmocap.recordings.open_recording import open_recording
     from depthmocap.recordings.recording import Recording
@@ -49,13 +51,15 @@ _LAZY = {
     "depthmocap.body.skeleton": ("JOINTS",),
     "depthmocap.calibration.calibrate": ("CalibrateSettings", "Calibration", "calibrate"),
     "depthmocap.cameras.registry": ("open_camera",),
-    "depthmocap.cameras.source": ("DepthFrame", "DepthSource"),
+    "depthmocap.cameras.source": ("CameraError", "DepthFrame", "DepthSource", "FrameTimeoutError"),
     "depthmocap.exporting": ("read_csv", "write_bvh", "write_csv", "write_trc"),
     "depthmocap.exporting.run_result": ("RunResult",),
     "depthmocap.offline.pipeline": ("PersonResult", "Pipeline", "Result"),
     "depthmocap.offline.pipeline_settings": ("PipelineSettings", "load_pipeline", "open_source"),
     "depthmocap.offline.run": ("RunSettings", "run"),
     "depthmocap.realtime.live_capture": ("LiveCapture", "LivePose", "live", "live_people"),
+    "depthmocap.pose.cloud": ("LabelledCloud",),
+    "depthmocap.pose.estimators": ("JointEstimator",),
     "depthmocap.recordings.recording": ("Recording",),
     "depthmocap.recordings.recording_writer": ("RecordingWriter",),
     "depthmocap.recordings.open_recording": ("open_recording",),
@@ -67,12 +71,16 @@ __all__ = [
     "JOINTS",
     "CalibrateSettings",
     "Calibration",
+    "CameraError",
     "DepthCamera",
     "DepthFrame",
     "DepthSource",
     "FrameSet",
     "FrameSource",
+    "FrameTimeoutError",
     "InputError",
+    "JointEstimator",
+    "LabelledCloud",
     "LiveCapture",
     "LivePose",
     "PersonResult",
