@@ -1,12 +1,13 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
+PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2
 EXTRAS = train,cluster,record,datasets,dev
 ifneq ($(shell uname -s),Darwin)  # the package index has no RealSense SDK for macOS
 EXTRAS := $(EXTRAS),realsense
 endif
 
-.PHONY: demo test body fuzz lint benchmark results docs clean
+.PHONY: demo test test-slow test-all body fuzz lint benchmark results docs clean
 
 # The main job on the packaged recording: base install, no torch, no network but the package index.
 demo: $(VENV)/base
@@ -15,7 +16,13 @@ demo: $(VENV)/base
 # By two processes; what threads would do beside them, they would do against each other. Files in their order, for
 # those of few tests are not those of little work: at the end of an order by number one process would wait.
 test: $(VENV)/body
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
+	$(PYTEST) -m "not slow" --dist loadfile --no-loadscope-reorder
+
+# What takes more than ten seconds each.
+test-slow: $(VENV)/body
+	$(PYTEST) -m slow
+
+test-all: test test-slow
 
 # Minutes of one core, the first time.
 body: $(VENV)/body

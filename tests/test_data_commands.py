@@ -137,6 +137,7 @@ def test_evaluation_says_what_is_missing(tmp_path, capsys):
     assert "hard-pose" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_train_pose_from_a_folder(root, tmp_path):
     source = PoseSampleSettings(str(root), subset="hard", samples=24, views=(2, 3))
     settings = PoseTraining(tmp_path, source, minutes=0.05)
@@ -196,6 +197,7 @@ def test_pose_training_that_cannot_be(tmp_path, change, message):
         PoseTraining(tmp_path, **change)
 
 
+@pytest.mark.slow
 def test_train_classifier_resumes_and_exports(root, tmp_path, monkeypatch):
     settings = ClassifierTraining(
         tmp_path / "run", data=str(root), images=32, batch=8, workers=0, valid_every=16, valid_images=4

@@ -49,6 +49,7 @@ def short(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_nothing_calls_home(short: Path, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     import matplotlib
 

@@ -39,6 +39,7 @@ def write_samples(folder, n=400, views=2):
     return folder
 
 
+@pytest.mark.slow
 def test_linear_truth_is_found_by_all_and_best_by_lasso(tmp_path, capsys):
     folder, path = write_samples(tmp_path / "samples"), tmp_path / "numbers.json"
     arguments = ["evaluate", "estimators", str(folder), "--labels", "true", "--views", "2", "--minutes", "0.05"]

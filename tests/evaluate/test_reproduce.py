@@ -40,6 +40,7 @@ def mhad(tmp_path_factory):
     return root
 
 
+@pytest.mark.slow
 def test_everything_that_is_there(mhad, tmp_path, monkeypatch):
     write_ubc3v(tmp_path / "ubc3v")
     monkeypatch.setattr(reproduce_real, "Eval", lambda root: MhadSet(root, subjects=(2,), every=4))

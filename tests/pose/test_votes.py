@@ -19,7 +19,7 @@ pytest.importorskip("onnx")
 
 from onnx import TensorProto, helper  # noqa: E402
 
-from depthmocap.train.train_votes import augment, export_votes, tilted  # noqa: E402
+from depthmocap.train.train_votes import augment, export_votes, tilt  # noqa: E402
 from depthmocap.train.votes_network import VotesNet  # noqa: E402
 
 
@@ -114,7 +114,7 @@ def test_augmented_samples_keep_a_camera_and_mirror_joints_with_regions(samples)
 def test_tilted_samples_are_the_same_bodies(samples):
     parts = np.repeat(parts_of(samples), 40, axis=0)
     joints = np.repeat(np.stack([sample.joints for sample in samples]).astype(np.float64), 40, axis=0)
-    changed, turned = tilted(np.random.default_rng(0), parts, joints)
+    changed, turned = tilt(np.random.default_rng(0), parts, joints)
     some = ~np.isclose(turned, joints).all((1, 2))
     assert 0.05 < some.mean() < 0.16
     np.testing.assert_allclose(changed[~some], parts[~some], atol=1e-5)

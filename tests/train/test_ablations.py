@@ -108,6 +108,7 @@ def test_without_mirror_images_every_picture_is_shown_once(body_model: BodyModel
     assert shown(True) > 1.5 * 8 * 400
 
 
+@pytest.mark.slow
 def test_a_short_run_lacks_and_resumes(body_model: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(train, "_CALIBRATION", 2)
     settings = ClassifierTraining(

@@ -24,6 +24,9 @@ from depthmocap.train.onnx_export import export_onnx  # noqa: E402
 from depthmocap.train.quantise import quantise  # noqa: E402
 from depthmocap.train.windows import training_window  # noqa: E402
 
+#: Each export is 20 s of one core.
+pytestmark = pytest.mark.slow
+
 WEIGHTS = Path(__file__).parents[2] / "weights" / "fast.safetensors"
 
 

@@ -48,6 +48,7 @@ def _check_order_and_errors() -> None:
             list(cluster.ordered(fail, range(3)))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_the_same_with_a_worker_killed(body_model, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ray = pytest.importorskip("ray")
