@@ -8,11 +8,12 @@ import sys
 import depthmocap
 
 
-def main(recording: str) -> None:
+def main(path: str) -> None:
     """Print the right wrist of every set of frames."""
+    recording = depthmocap.open_source(path)  # or open_recording, which takes no section of UBC3V
     pipeline = depthmocap.load_pipeline(recording)
     wrist = depthmocap.JOINTS.index("RHand")
-    for frames in depthmocap.open_source(recording):
+    for frames in recording:
         result = pipeline(frames)
         if result.pose.confidence.max() == 0:
             print(f"{frames.timestamp_ns}: nobody in view")

@@ -2,7 +2,7 @@
 
     import depthmocap
 
-    recording = depthmocap.open_source("recording")
+    recording = depthmocap.open_recording("recording")
     pipeline = depthmocap.load_pipeline(recording)
     for frames in recording:
         pose = pipeline(frames).pose

@@ -21,7 +21,7 @@ def packaged_recording() -> Path:
     return Path(str(importlib.resources.files("depthmocap") / "demo_recording"))
 
 
-def open_recording(path: Path, rig: Rig | None = None) -> Recording:
+def open_recording(path: Path | str, rig: Rig | None = None) -> Recording:
     """Open a recording: an MCAP file, an Azure Kinect's MKV file, or a recording folder.
 
     Args:
@@ -30,6 +30,7 @@ def open_recording(path: Path, rig: Rig | None = None) -> Recording:
     Raises:
         InputError: when the path is no recording.
     """
+    path = Path(path)
     if back_end := _BY_SDK.get(path.suffix.lower()):
         raise InputError(
             f"{path} is read by its camera's SDK: name it as a camera, as in "
