@@ -1,7 +1,9 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
-PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2
+# By two processes; what threads would do beside them, they would do against each other. Files in their order, for
+# those of few tests are not those of little work: at the end of an order by number one process would wait.
+PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 EXTRAS = train,cluster,record,datasets,dev
 ifneq ($(shell uname -s),Darwin)  # the package index has no RealSense SDK for macOS
 EXTRAS := $(EXTRAS),realsense
@@ -13,12 +15,10 @@ endif
 demo: $(VENV)/base
 	$(BIN)/depthmocap demo --out out/demo
 
-# By two processes; what threads would do beside them, they would do against each other. Files in their order, for
-# those of few tests are not those of little work: at the end of an order by number one process would wait.
 test: $(VENV)/body
-	$(PYTEST) -m "not slow" --dist loadfile --no-loadscope-reorder
+	$(PYTEST) -m "not slow"
 
-# What takes more than ten seconds each.
+# What takes more than six seconds each.
 test-slow: $(VENV)/body
 	$(PYTEST) -m slow
 

@@ -151,6 +151,7 @@ def test_train_pose_from_a_folder(root, tmp_path):
         assert numbers["mean_joint_error_cm"] < 60  # 24 samples teach little, but not nothing
 
 
+@pytest.mark.slow
 def test_the_votes_learn_from_earlier_samples_too(root, tmp_path, monkeypatch):
     skip_export_of_votes(monkeypatch)
     source = PoseSampleSettings(str(root), subset="hard", samples=24, views=(2,))
@@ -172,6 +173,7 @@ def test_the_votes_learn_from_earlier_samples_too(root, tmp_path, monkeypatch):
         train_pose(dataclasses.replace(settings, earlier=(tmp_path / "nothing",)), QUIET)
 
 
+@pytest.mark.slow
 def test_train_pose_in_the_world_from_synth(body_model, tmp_path):
     source = PoseSampleSettings(samples=30, views=(3,), frame="world", workers=0)
     settings = PoseTraining(tmp_path, source, "ridge")
@@ -229,6 +231,7 @@ def test_train_classifier_resumes_and_exports(root, tmp_path, monkeypatch):
         np.testing.assert_allclose(ours, theirs.numpy(), atol=0.02 * theirs.abs().max())
 
 
+@pytest.mark.slow
 def test_a_run_that_is_interrupted_loses_no_step(root, tmp_path, monkeypatch):
     skip_export(monkeypatch)
     settings = ClassifierTraining(

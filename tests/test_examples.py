@@ -94,6 +94,7 @@ def test_data_engine(run: Run, tmp_path: Path) -> None:
     assert len(np.unique(pixels[240:].reshape(-1, 3), axis=0)) > 40  # labels below
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("body_model")
 def test_training(run: Run, tmp_path: Path) -> None:
     own, ridge, votes = (

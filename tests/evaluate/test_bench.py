@@ -33,6 +33,7 @@ def test_true_labels_beat_the_network(body_model: BodyModel, tmp_path: Path) -> 
     assert found["network"]["recipe"]["split"] == "test"
 
 
+@pytest.mark.slow
 def test_sets_differ_and_are_made_alike_again(body_model: BodyModel) -> None:
     settings = BenchEvaluation(samples=2, workers=0)
     first, again = evaluate_bench(settings, QUIET), evaluate_bench(settings, QUIET)

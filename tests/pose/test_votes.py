@@ -71,6 +71,7 @@ def test_gradient_reaches_every_parameter(samples):
         assert parameter.grad.abs().sum() > 0, name
 
 
+@pytest.mark.slow
 def test_onnx_gives_the_same(samples, tmp_path):
     network = small_network()
     estimator = VotesEstimator(export_votes(network, tmp_path / "votes.onnx"))

@@ -118,6 +118,7 @@ def test_settings_that_cannot_be(change: dict, message: str, tmp_path: Path) -> 
         ClassifierTraining(tmp_path, **change)
 
 
+@pytest.mark.slow
 def test_what_is_kept_is_blended_with_what_it_started_from(
     body_model: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -65,6 +65,7 @@ def test_limits_hold_on_both_sides_and_in_the_mirror(kind: str) -> None:
 # Cover
 
 
+@pytest.mark.slow
 def test_a_cover_keeps_what_is_distinct_and_nothing_else() -> None:
     postures = random_postures(1500, size=0.08)
     cover = Cover(0.15, 1500)

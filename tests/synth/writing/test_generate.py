@@ -243,6 +243,7 @@ def make_up_unit(unit: units.Unit) -> units.Made:
     return units.make_unit(unit)
 
 
+@pytest.mark.slow
 def test_processes_make_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     here = run(tmp_path / "here")
     monkeypatch.setattr(generate_module, "make_unit", make_up_unit)

@@ -28,6 +28,7 @@ def alike(a: Sample, b: Sample) -> bool:
     )
 
 
+@pytest.mark.slow
 def test_the_same_from_any_number_of_workers(body_model: BodyModel) -> None:
     here = list(stream(RECIPE, 3, 4, 9))
     assert [index for index, _ in here] == [4, 5, 6, 7, 8]
