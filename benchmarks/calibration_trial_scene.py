@@ -16,7 +16,7 @@ from depthmocap.recordings.recording_writer import RecordingWriter
 from depthmocap.synth.body.bones import POSTURE_INDEX
 from depthmocap.synth.motion.perform import Motion, pose_sequence
 from depthmocap.synth.motion.stroll import Stop, stroll
-from depthmocap.synth.people.bodies import random_dressed
+from depthmocap.synth.people.bodies import random_dressed_body
 from depthmocap.synth.people.garments import DressedBody
 from depthmocap.synth.render import render_person
 from depthmocap.synth.scenes.room import Box, Room, render_room, shelf, table
@@ -74,7 +74,7 @@ class TrialScene:
             preset.camera(f"cam{i}", _mount(rng, azimuth))
             for i, (azimuth, preset) in enumerate(zip(self.azimuths_deg, presets, strict=True))
         ))  # fmt: skip
-        dressed = random_dressed(rng, "open")
+        dressed = random_dressed_body(rng, "open")
         times_s = np.arange(round(self.seconds * self.rate_hz)) / self.rate_hz
         motion = _walk_about(rng, dressed, self.seconds + 2)
         offsets_s = self.out_of_step_s or (0.0,) * len(rig.cameras)

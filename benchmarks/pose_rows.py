@@ -28,7 +28,7 @@ from depthmocap.recordings.recording import Recording
 from depthmocap.segment.people_segmenter import PeopleSegmenter, PersonMasks
 from depthmocap.smooth.filters import AUTO, load_filter
 from depthmocap.synth.motion.postures import PosturePrior
-from depthmocap.synth.people.bodies import random_dressed
+from depthmocap.synth.people.bodies import random_dressed_body
 from depthmocap.synth.render import render_person
 from depthmocap.synth.sample import CameraRange, Recipe, Sampler
 from depthmocap.synth.scenes.room import Box, Room, render_room
@@ -126,7 +126,7 @@ def _plain_joints(model: RidgePose, parts: list[LabelledView]) -> tuple[ndarray,
 def segmentation(bench: Bench) -> None:
     """The person before a static room, against the bare comparison with the background."""
     rng = np.random.default_rng(7)
-    posed = random_dressed(rng, "easy").pose(PosturePrior.load().sample(rng)[0])
+    posed = random_dressed_body(rng, "easy").pose(PosturePrior.load().sample(rng)[0])
     centre = posed.vertices.mean(0).astype(float)
     camera = camera_before(centre, 2.6)
     x, y, floor = float(centre[0]), float(centre[1]), float(posed.vertices[:, 2].min()) - 0.005

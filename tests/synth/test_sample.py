@@ -12,7 +12,7 @@ from depthmocap.errors import InputError
 from depthmocap.geometry import is_rigid, transform_points
 from depthmocap.synth.body.mesh import BodyModel
 from depthmocap.synth.motion.postures import PosturePrior
-from depthmocap.synth.people.bodies import random_dressed
+from depthmocap.synth.people.bodies import random_dressed_body
 from depthmocap.synth.people.wardrobe import HELD_OUT_FAMILY
 from depthmocap.synth.sample import (
     ANY_SENSOR,
@@ -42,7 +42,7 @@ def samples(body_model: BodyModel) -> list[Sample]:
 
 def test_cameras_stand_within_the_range(body_model: BodyModel) -> None:
     rng = np.random.default_rng(0)
-    posed = random_dressed(rng, "easy").pose(PosturePrior.load().sample(rng)[0]).body
+    posed = random_dressed_body(rng, "easy").pose(PosturePrior.load().sample(rng)[0]).body
     low, high = posed.vertices.min(0).astype(float), posed.vertices.max(0).astype(float)
     centre = (low + high) / 2
     places = CameraRange()
@@ -68,7 +68,7 @@ def test_cameras_stand_within_the_range(body_model: BodyModel) -> None:
 
 def test_cameras_may_roll(body_model: BodyModel) -> None:
     rng = np.random.default_rng(1)
-    posed = random_dressed(rng, "easy").pose(PosturePrior.load().sample(rng)[0]).body
+    posed = random_dressed_body(rng, "easy").pose(PosturePrior.load().sample(rng)[0]).body
     rolls = [
         np.arcsin(random_camera(rng, posed, CameraRange(aim_m=0.0, roll_rad=0.1), KINECT2, "c").world_from_camera[2, 0])
         for _ in range(100)
@@ -142,7 +142,7 @@ def test_noise_keeps_labels_exact(samples: list[Sample]) -> None:
 
 def test_subsets(body_model: BodyModel) -> None:
     def bodies(subset: Subset) -> set[bytes]:
-        return {random_dressed(np.random.default_rng(i), subset).body.rest_vertices.tobytes() for i in range(24)}
+        return {random_dressed_body(np.random.default_rng(i), subset).body.rest_vertices.tobytes() for i in range(24)}
 
     counts = {subset: len(bodies(subset)) for subset in get_args(Subset)}
     assert counts["easy"] == counts["inter"] == 1
@@ -191,7 +191,7 @@ def test_held_out_clothes(body_model: BodyModel) -> None:
     for subset in get_args(Subset):
         for i in range(12):
             for held_out in (False, True):
-                dressed = random_dressed(np.random.default_rng(i), subset, held_out)
+                dressed = random_dressed_body(np.random.default_rng(i), subset, held_out)
                 assert any(g.family == HELD_OUT_FAMILY for g in dressed.clothes.garments) == held_out
 
 

@@ -22,7 +22,7 @@ from depthmocap.synth.body.bones import heading, turn_posture
 from depthmocap.synth.body.mesh import Body, BodyModel, Phenotype
 from depthmocap.synth.motion.mocap import Clip, ClipFolder, split_of
 from depthmocap.synth.motion.postures import PosturePrior, anny_rest
-from depthmocap.synth.people.bodies import random_dressed
+from depthmocap.synth.people.bodies import random_dressed_body
 from depthmocap.synth.people.garments import DressedBody
 from depthmocap.synth.render import PosedPerson, render_person
 from depthmocap.synth.sample import CameraRange, Split, random_camera
@@ -170,7 +170,7 @@ def moving_frames(
     synchronisation. Person, cameras and random numbers do not depend on the offsets.
     """
     step_rng = rng.spawn(1)[0]
-    dressed = random_dressed(rng, "open")
+    dressed = random_dressed_body(rng, "open")
     trajectory = np.pad(pelvis_trajectory(dressed.body, motion.postures), ((0, 0), (0, 1)))
     first_pose = _standing(dressed, motion.postures[0], np.zeros(3)).body
     presets = [sensors[int(rng.integers(len(sensors)))] for _ in range(views)]

@@ -20,9 +20,9 @@ from depthmocap.synth.body.mesh import PosedBody
 from depthmocap.synth.cut import CUTS, Cut, cut_plane, random_cut
 from depthmocap.synth.motion.beyond import FAMILIES, Family
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, PostureSource, Variation, posture_source
-from depthmocap.synth.people.bodies import Wardrobe, random_dressed
+from depthmocap.synth.people.bodies import Wardrobe, random_dressed_body
 from depthmocap.synth.people.garments import DressedBody
-from depthmocap.synth.people.pockets import posed_in_clothes
+from depthmocap.synth.people.pockets import pose_in_clothes
 from depthmocap.synth.render import PosedPerson, Rendering, render_person
 from depthmocap.synth.scenes.scene import OFF, SCENE_PRESETS, Scene, random_scene, render_scene
 from depthmocap.synth.sensing.sensor import sense
@@ -229,7 +229,7 @@ def random_person(
     rng: np.random.Generator, subset: Subset, postures: PostureSource, wardrobe: Wardrobe = "any"
 ) -> PosedPerson:
     """A random person of a subset in a random posture."""
-    dressed = random_dressed(rng, subset, wardrobe=wardrobe)
+    dressed = random_dressed_body(rng, subset, wardrobe=wardrobe)
     return _posed(rng, subset, dressed, postures.sample(rng)[0], wardrobe)
 
 
@@ -239,14 +239,14 @@ def _posed(
     """A person in a posture; people of "open" hold their arms as outdoor clothes allow."""
     if subset != "open" or wardrobe == "indoors":
         return dressed.pose(posture)
-    return posed_in_clothes(dressed, posture, rng)
+    return pose_in_clothes(dressed, posture, rng)
 
 
 def draw_sample(rng: np.random.Generator, recipe: Recipe, postures: PostureSource) -> Sample:
     """One call of the paper's SAMPLE. Labels are exact; masks are the person's pixels (clothes and hair included)
     where the depth is valid."""
     posture, group = postures.sample(rng)
-    dressed = random_dressed(rng, recipe.subset, recipe.held_out_clothes, recipe.wardrobe)
+    dressed = random_dressed_body(rng, recipe.subset, recipe.held_out_clothes, recipe.wardrobe)
     person = _posed(rng, recipe.subset, dressed, posture, recipe.wardrobe)
     presets = [recipe.presets[int(rng.integers(len(recipe.presets)))] for _ in range(recipe.views)]
     cameras = [

@@ -9,7 +9,7 @@ import numpy as np
 from depthmocap.synth.body.mesh import BodyModel, Phenotype
 from depthmocap.synth.people.bodies import (
     ONE_CHARACTER,
-    random_dressed,
+    random_dressed_body,
     random_phenotype,
     sixteen_characters,
 )
@@ -36,7 +36,7 @@ def test_random_phenotypes_are_of_all_kinds() -> None:
 
 def test_easy_and_inter_have_one_character_in_ordinary_clothes(body_model: BodyModel) -> None:
     rng = np.random.default_rng(0)
-    people = [random_dressed(rng, subset) for subset in ("easy", "inter", "easy")]
+    people = [random_dressed_body(rng, subset) for subset in ("easy", "inter", "easy")]
     assert people[0] is people[1] is people[2]
     assert people[0].clothes == ORDINARY_CLOTHES
     np.testing.assert_array_equal(people[0].body.rest_vertices, body_model.shape(ONE_CHARACTER).rest_vertices)
@@ -44,14 +44,14 @@ def test_easy_and_inter_have_one_character_in_ordinary_clothes(body_model: BodyM
 
 def test_hard_has_sixteen_characters_who_always_wear_the_same(body_model: BodyModel) -> None:
     rng = np.random.default_rng(0)
-    people = {id(person): person for person in (random_dressed(rng, "hard") for _ in range(150))}
+    people = {id(person): person for person in (random_dressed_body(rng, "hard") for _ in range(150))}
     assert len(people) == 16
     assert len({person.clothes for person in people.values()}) == 16
-    assert random_dressed(np.random.default_rng(1), "easy") in people.values()
+    assert random_dressed_body(np.random.default_rng(1), "easy") in people.values()
 
 
 def test_open_is_anybody_and_depends_on_the_generator(body_model: BodyModel) -> None:
-    a, b, c = (random_dressed(rng, "open") for rng in map(np.random.default_rng, (1, 1, 2)))
+    a, b, c = (random_dressed_body(rng, "open") for rng in map(np.random.default_rng, (1, 1, 2)))
     np.testing.assert_array_equal(a.body.rest_vertices, b.body.rest_vertices)
     assert a.clothes == b.clothes != c.clothes
 
@@ -60,5 +60,5 @@ def test_held_out_clothes_are_worn_when_asked(body_model: BodyModel) -> None:
     rng = np.random.default_rng(0)
     for subset in ("easy", "hard", "open"):
         for held_out in (False, True):
-            families = [garment.family for garment in random_dressed(rng, subset, held_out).clothes.garments]
+            families = [garment.family for garment in random_dressed_body(rng, subset, held_out).clothes.garments]
             assert (HELD_OUT_FAMILY in families) == held_out

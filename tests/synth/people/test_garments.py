@@ -227,8 +227,8 @@ def test_folds_deepen_where_the_body_bends(default_body: Body) -> None:
         a, b = (one.pose(pose).layers[0].vertices for one in dressed)
         shell, rest = dressed[0].pieces[0].shell, dressed[0].rest
         assert shell is not None
-        compressed = PosedCloth.of(rest, default_body.bone_transforms(bent)).compressed[shell.vertices]
-        depths.append(np.linalg.norm(a - b, axis=1)[compressed > 0.08].mean())
+        compression = PosedCloth.of(rest, default_body.bone_transforms(bent)).compression[shell.vertices]
+        depths.append(np.linalg.norm(a - b, axis=1)[compression > 0.08].mean())
     assert depths[1] > 1.5 * depths[0] > 0.0005
 
 

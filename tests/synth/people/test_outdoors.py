@@ -14,10 +14,10 @@ from depthmocap.synth.body.bones import POSTURE_BONES, POSTURE_INDEX
 from depthmocap.synth.body.mesh import REST_POSTURE, Body
 from depthmocap.synth.motion.limits import within_limits
 from depthmocap.synth.motion.pocketed_hands import PocketKind, arms_off_trunk, hands_in_pockets
-from depthmocap.synth.people.bodies import random_dressed
+from depthmocap.synth.people.bodies import random_dressed_body
 from depthmocap.synth.people.garments import DressedBody, clothe
-from depthmocap.synth.people.outdoors import HAT_SHARE, HOOD_UP_SHARE, JACKET_SHARE, SCARF_SHARE, for_outdoors
-from depthmocap.synth.people.pockets import pockets_of, posed_in_clothes
+from depthmocap.synth.people.outdoors import HAT_SHARE, HOOD_UP_SHARE, JACKET_SHARE, SCARF_SHARE, add_outdoor_clothes
+from depthmocap.synth.people.pockets import find_pockets, pose_in_clothes
 from depthmocap.synth.people.wardrobe import (
     FAMILIES,
     HELD_OUT_FAMILY,
@@ -68,7 +68,7 @@ def in_jacket(body: Body, **changes: object) -> DressedBody:
 def test_what_is_worn_outdoors_is_drawn_as_often_as_said() -> None:
     rng = np.random.default_rng(0)
     indoors = [random_clothes(rng, gender=float(rng.uniform())) for _ in range(1200)]
-    drawn = [for_outdoors(clothes, rng) for clothes in indoors]
+    drawn = [add_outdoor_clothes(clothes, rng) for clothes in indoors]
     worn = [{garment.family for garment in clothes.garments} for clothes in drawn]
     assert set.union(*worn) == set(FAMILIES) - {HELD_OUT_FAMILY}
     assert np.mean([bool(families & set(OUTDOOR_FAMILIES)) for families in worn]) == pytest.approx(
@@ -81,7 +81,7 @@ def test_what_is_worn_outdoors_is_drawn_as_often_as_said() -> None:
     assert np.mean([hood == "up" for hood in hoods if hood != "none"]) == pytest.approx(HOOD_UP_SHARE, abs=0.1)
     assert all(clothes.hair.length_m == 0 or clothes.hair.style != "long" or hood != "up"
                for clothes, hood in zip(drawn, hoods, strict=True))  # fmt: skip
-    everybody = [for_outdoors(clothes, rng, 1.0).garments[-1].family for clothes in indoors[:50]]
+    everybody = [add_outdoor_clothes(clothes, rng, 1.0).garments[-1].family for clothes in indoors[:50]]
     assert set(everybody) <= set(OUTDOOR_FAMILIES)
 
 
@@ -93,12 +93,12 @@ def test_the_longest_outdoor_jacket_is_shorter_than_the_shortest_coat() -> None:
 def test_a_seed_has_the_same_bodies_indoors_and_outdoors(default_body: Body) -> None:
     for seed in range(3):
         indoors, outdoors = (
-            random_dressed(np.random.default_rng(seed), "open", wardrobe=wardrobe)
+            random_dressed_body(np.random.default_rng(seed), "open", wardrobe=wardrobe)
             for wardrobe in ("indoors", "outdoors")
         )
         np.testing.assert_array_equal(indoors.body.rest_vertices, outdoors.body.rest_vertices)
         assert outdoors.clothes.garments[-1].family in OUTDOOR_FAMILIES
-        held_out = random_dressed(np.random.default_rng(seed), "open", True, "any")
+        held_out = random_dressed_body(np.random.default_rng(seed), "open", True, "any")
         assert held_out.clothes.garments[-1].family == HELD_OUT_FAMILY
 
 
@@ -219,10 +219,10 @@ def test_hands_in_pockets_are_under_cloth(default_body: Body) -> None:
     covered, seen = [], 0
     for family in ("puffer", "hoodie", "t-shirt"):
         dressed = clothe(default_body, Clothes((trousers, random_garment(rng, family))), rng)
-        assert ("jacket" in pockets_of(dressed.clothes.garments)) == (family != "t-shirt")
+        assert ("jacket" in find_pockets(dressed.clothes.garments)) == (family != "t-shirt")
         for _ in range(3):
             plain = dressed.pose(standing())
-            person = posed_in_clothes(dressed, standing(), rng, 1.0)
+            person = pose_in_clothes(dressed, standing(), rng, 1.0)
             count = len(person.layers) - len(plain.layers)
             if count < 2:
                 continue
@@ -238,7 +238,7 @@ def test_hands_in_pockets_are_under_cloth(default_body: Body) -> None:
 def test_nobody_in_a_dress_has_pockets(default_body: Body) -> None:
     rng = np.random.default_rng(0)
     dressed = clothe(default_body, Clothes((random_garment(rng, "dress"),)), rng)
-    person = posed_in_clothes(dressed, standing(), rng, 1.0)
+    person = pose_in_clothes(dressed, standing(), rng, 1.0)
     assert len(person.layers) == len(dressed.pose(standing()).layers)
 
 
@@ -256,7 +256,7 @@ def test_thick_sleeves_hold_hanging_arms_off_the_trunk(default_body: Body) -> No
 def test_outdoor_people_depend_on_the_seed_alone(default_body: Body) -> None:
     def person(seed: int) -> PosedPerson:
         rng = np.random.default_rng(seed)
-        return posed_in_clothes(random_dressed(rng, "open", wardrobe="outdoors"), standing(), rng, 1.0)
+        return pose_in_clothes(random_dressed_body(rng, "open", wardrobe="outdoors"), standing(), rng, 1.0)
 
     for a, b in zip(person(5).layers, person(5).layers, strict=True):
         np.testing.assert_array_equal(a.vertices, b.vertices)

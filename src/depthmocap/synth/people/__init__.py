@@ -1,1 +1,1 @@
-"""Who is in the picture: bodies, garments, hair and shoes."""
+"""Random people: bodies, garments, hair and shoes."""

@@ -1,4 +1,4 @@
-"""Where clothes go on the body's mesh: coordinates along trunk, arms, legs and neck, shared by all shapes."""
+"""Coordinates of clothes on the body's mesh: along trunk, arms, legs and neck, the same for all shapes."""
 
 from __future__ import annotations
 
@@ -15,23 +15,28 @@ from depthmocap.body.regions import REGION_NAMES
 from depthmocap.synth.body.mesh import Body, BodyModel, Phenotype
 from depthmocap.synth.people.wardrobe import SKIRT_LINE_M
 
-#: Columns of a sheet that hangs around both legs, evenly around the body from its back, and of one of hair.
-SKIRT_COLUMNS, HAIR_COLUMNS = 44, 18
-#: Height of the line that long hair hangs from, metres above the eyes.
+#: Number of columns of a skirt, evenly around the body from its back.
+SKIRT_COLUMNS = 44
+#: Number of columns of long hair.
+HAIR_COLUMNS = 18
+#: Height above the eyes of the line that long hair hangs from (metres).
 HAIR_LINE_M = 0.015
-#: Half the part of the head's circle, from the back, that long hair hangs from (radians).
+#: Largest azimuth of long hair, measured from the back of the head (radians).
 HAIR_SIDE_RAD = 1.9
-#: Where thighs and shins are measured, as counted by ``ClothMap.along``.
+#: Positions (``ClothMap.along``) at which thighs and shins are measured.
 SECTIONS = ((0.3, 0.95), (1.2, 1.9))
-#: Typical lengths (metres) of what ``ClothMap.along`` counts as 1.
-ARM_M, LEG_M = 0.26, 0.46
-#: Random fields of each kind.
+#: Typical length of an upper arm or a forearm, one unit of ``ClothMap.along`` (metres).
+ARM_M = 0.26
+#: Typical length of a thigh or a shin, one unit of ``ClothMap.along`` (metres).
+LEG_M = 0.46
+#: Number of random fields of either kind.
 _FIELDS = 24
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Anchors:
-    """Points on edges of the cloth map's mesh: ``(1 − share) · first + share · second``; azimuth from the back."""
+    """Points on edges of the cloth map's mesh, ``(1 − share) · first + share · second``, and their azimuths from the
+    back (radians)."""
 
     first: Int[ndarray, "c"]
     second: Int[ndarray, "c"]
@@ -41,21 +46,21 @@ class Anchors:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ClothMap:
-    """The skin without hands, toes and face, with coordinates on the default body (metres) that all bodies share.
+    """The skin without hands, toes and face, with coordinates on the default body (metres) that hold for all bodies.
 
     Attributes:
-        vertices: indices into the body's mesh; all else counts these.
+        vertices: indices into the body's mesh; all other indices are into these.
         starts, neighbours: edges at each vertex, in CSR form.
-        trunk, arm, left_leg, right_leg, leg, head: slices of the vertices; the trunk comes first, upwards.
-        armness: weight of the arm's bones.
+        trunk, arm, left_leg, right_leg, leg, head: slices of the vertices; the trunk is first, sorted upwards.
+        armness: skinning weight of the arm's bones.
         height: above the crotch.
         along: on arms 0 shoulder, 1 elbow, 2 wrist; on legs 0 hip, 1 knee, 2 ankle; 0 elsewhere.
-        neck: above a slope through the root of the neck, which is lower in front.
+        neck: height above a slope through the root of the neck, which is lower in front.
         scalp: 1 where hair grows, 0 elsewhere, softened.
         azimuth: around the trunk, around the bone on limbs; 0 is at the back, positive to the left (radians).
-        slant: 1 on the left and −1 on the right, so that what slants is symmetric.
-        metres: along the limb, or the height.
-        coarse, fine: smooth random fields of deviation about 0.7, of 12–40 cm and of 5–12 cm.
+        slant: 1 on the left and −1 on the right, which makes slanting folds symmetric.
+        metres: distance along the limb; on the trunk the height.
+        coarse, fine: smooth random fields with a standard deviation of about 0.7 and wavelengths of 12–40 and 5–12 cm.
         chest: vertices around the trunk at the height of the breastbone.
         sections: vertices around each limb (side, 0 for thigh and 1 for shin) at ``SECTIONS``.
     """
@@ -92,7 +97,7 @@ class ClothMap:
     @classmethod
     @functools.cache
     def of(cls, model: BodyModel) -> ClothMap:
-        """The map of a body model, built once a process."""
+        """The map of a body model; cached."""
         return _build(model)
 
 
@@ -106,13 +111,13 @@ def _edges(faces: Int[ndarray, "f 3"]) -> Int[ndarray, "e 2"]:
 
 
 class _Skin(NamedTuple):
-    """The skin that cloth or hair covers, its vertices sorted by part and height.
+    """The skin that cloth or hair can cover, its vertices sorted by part and height.
 
     Attributes:
         vertices: indices into the body's mesh.
         part: 0 trunk, 1 arms, 2 left leg, 3 right leg, 4 scalp.
         points: on the default body, metres.
-        armness: weight of the arm's bones.
+        armness: skinning weight of the arm's bones.
         scalp: 1 where hair grows, 0 elsewhere, softened.
         crotch: height, metres.
     """
@@ -146,10 +151,10 @@ def _build(model: BodyModel) -> ClothMap:
     azimuth[trunk] = np.arctan2(x[trunk], y[trunk] - centre)
     azimuth[head] = np.arctan2(x[head], y[head] - skull[1])
     starts = np.searchsorted(edges[:, 0], np.arange(len(vertices) + 1))
-    around = np.linspace(-np.pi, np.pi, SKIRT_COLUMNS, endpoint=False)
-    hair_around = np.linspace(-HAIR_SIDE_RAD, HAIR_SIDE_RAD, HAIR_COLUMNS)
+    skirt_azimuths = np.linspace(-np.pi, np.pi, SKIRT_COLUMNS, endpoint=False)
+    hair_azimuths = np.linspace(-HAIR_SIDE_RAD, HAIR_SIDE_RAD, HAIR_COLUMNS)
     eye = float(heads["eye.L"][2])
-    as_float = np.float32
+    dtype = np.float32
     return ClothMap(
         vertices=vertices,
         faces=faces,
@@ -163,24 +168,24 @@ def _build(model: BodyModel) -> ClothMap:
         right_leg=right_leg,
         leg=leg,
         head=head,
-        armness=armness.astype(as_float),
-        default=points.astype(as_float),
-        height=(z - crotch).astype(as_float),
-        along=along.astype(as_float),
-        neck=neck.astype(as_float),
-        scalp=scalp.astype(as_float),
-        azimuth=azimuth.astype(as_float),
-        slant=np.where((part == 0) | (x > 0), 1, -1).astype(as_float),
+        armness=armness.astype(dtype),
+        default=points.astype(dtype),
+        height=(z - crotch).astype(dtype),
+        along=along.astype(dtype),
+        neck=neck.astype(dtype),
+        scalp=scalp.astype(dtype),
+        azimuth=azimuth.astype(dtype),
+        slant=np.where((part == 0) | (x > 0), 1, -1).astype(dtype),
         metres=np.select([part == 1, (part == 2) | (part == 3)], [along * ARM_M, along * LEG_M], z - crotch).astype(
-            as_float
+            dtype
         ),
         coarse=_random_fields(points, (0.12, 0.4), 4),
         fine=_random_fields(points, (0.05, 0.12), 6),
         chest=np.flatnonzero((part == 0) & (np.abs(z - heads["spine01"][2]) < 0.05) & (np.abs(x) < 0.05)),
         sections=_limb_sections(part, along),
         stature=float(np.ptp(body.rest_vertices[:, 2])),
-        skirt=_anchors(points, edges, np.isin(part, (0, 2, 3)), crotch + SKIRT_LINE_M, (0.0, centre), around),
-        hair=_anchors(points, edges, part == 4, eye + HAIR_LINE_M, (0.0, float(skull[1])), hair_around),
+        skirt=_anchors(points, edges, np.isin(part, (0, 2, 3)), crotch + SKIRT_LINE_M, (0.0, centre), skirt_azimuths),
+        hair=_anchors(points, edges, part == 4, eye + HAIR_LINE_M, (0.0, float(skull[1])), hair_azimuths),
     )
 
 
@@ -202,7 +207,7 @@ def _covered_skin(model: BodyModel, body: Body, heads: dict[str, Float[ndarray, 
     crotch = float(body.rest_vertices[middle & (body.rest_vertices[:, 2] < hip[2] + 0.05), 2].min())
     hairy = np.bincount(faces.ravel(), np.repeat(np.isin(kinds[covered], ("hair", "forehead")), 3))
     scalp = hairy / np.bincount(faces.ravel())
-    # The leg begins where cloth must part, below the crotch.
+    # Legs begin at the crotch, where cloth divides.
     part = np.select([scalp > 0.3, armness > 0.5, (legness > 0.5) & (points[:, 2] < crotch)], [4, 1, 2], 0)
     part[(part == 2) & (points[:, 0] < 0)] = 3
     order = np.lexsort((points[:, 2], part))
@@ -216,16 +221,17 @@ def _limb_sections(
     """Vertices around each leg (side, 0 for thigh and 1 for shin) at ``SECTIONS``."""
     sections: dict[tuple[str, int], tuple[ndarray, ndarray]] = {}
     for (side, code), (bone, (above, below)) in itertools.product((("L", 2), ("R", 3)), enumerate(SECTIONS)):
-        of_leg = part == code
-        slices = [np.flatnonzero(of_leg & (np.abs(along - at) < 0.1)) for at in (above, below)]
-        sections[side, bone] = slices[0], slices[1]
+        is_leg = part == code
+        sections_of_bone = [np.flatnonzero(is_leg & (np.abs(along - position) < 0.1)) for position in (above, below)]
+        sections[side, bone] = sections_of_bone[0], sections_of_bone[1]
     return sections
 
 
 def _random_fields(
     points: Float[ndarray, "n 3"], wavelengths: tuple[float, float], waves: int
 ) -> Float[ndarray, "b n"]:
-    """Sums of plane waves of random directions and lengths (metres): always the same, garments choose among them."""
+    """Sums of plane waves with random directions and wavelengths (metres), from a fixed seed; garments choose among
+    them."""
     rng = np.random.default_rng(0)
     directions = rng.normal(size=(_FIELDS, waves, 3))
     lengths = rng.uniform(*wavelengths, (_FIELDS, waves, 1))
@@ -241,14 +247,14 @@ def _along_limb(
     first, second = bend - start, end - bend
     upper = (points - start) @ first / (first @ first)
     lower = (points - bend) @ second / (second @ second)
-    # Either side of the plane that halves the bend.
-    half = (points - bend) @ (first / np.linalg.norm(first) + second / np.linalg.norm(second))
-    along = np.where(half < 0, np.minimum(upper, 1), 1 + np.maximum(lower, 0))
+    # Negative on the first bone's side of the plane that bisects the bend.
+    side = (points - bend) @ (first / np.linalg.norm(first) + second / np.linalg.norm(second))
+    along = np.where(side < 0, np.minimum(upper, 1), 1 + np.maximum(lower, 0))
     on_bone = np.where(
-        half[:, None] < 0, start + np.clip(upper, 0, 1)[:, None] * first, bend + np.clip(lower, 0, 2)[:, None] * second
+        side[:, None] < 0, start + np.clip(upper, 0, 1)[:, None] * first, bend + np.clip(lower, 0, 2)[:, None] * second
     )
-    away = points - on_bone
-    return along, np.arctan2(away[:, 0], away[:, 1])
+    offsets = points - on_bone
+    return along, np.arctan2(offsets[:, 0], offsets[:, 1])
 
 
 def _anchors(
@@ -259,15 +265,15 @@ def _anchors(
     centre: tuple[float, float],
     azimuths: Float[ndarray, "c"],
 ) -> Anchors:
-    """Edges that cross a height, the nearest in azimuth for each column."""
+    """Points at a height on edges of the mesh: for each column the nearest in azimuth."""
     a, b = edges.T
     crossing = allowed[a] & allowed[b] & (points[a, 2] <= height) & (points[b, 2] > height)
     a, b = a[crossing], b[crossing]
     share = (height - points[a, 2]) / (points[b, 2] - points[a, 2])
-    at = points[a] + share[:, None] * (points[b] - points[a])
-    azimuth = np.arctan2(at[:, 0] - centre[0], at[:, 1] - centre[1])
-    apart = np.abs(np.angle(np.exp(1j * (azimuth[None] - azimuths[:, None]))))
-    nearest = apart.argmin(1)
+    crossings = points[a] + share[:, None] * (points[b] - points[a])
+    azimuth = np.arctan2(crossings[:, 0] - centre[0], crossings[:, 1] - centre[1])
+    differences = np.abs(np.angle(np.exp(1j * (azimuth[None] - azimuths[:, None]))))
+    nearest = differences.argmin(1)
     return Anchors(
         a[nearest].astype(np.int32),
         b[nearest].astype(np.int32),

@@ -1,4 +1,4 @@
-"""Cloth over hands that are in pockets, and how dressed people hold their arms for what they wear."""
+"""Postures of dressed people: arms held off the trunk by thick sleeves, hands in pockets and the cloth over them."""
 
 from __future__ import annotations
 
@@ -18,79 +18,88 @@ from depthmocap.synth.people.wardrobe import Garment
 from depthmocap.synth.render import Layer, PosedPerson
 from depthmocap.synth.scenes.objects import vertices_of
 
-#: Share of people with a hand or both in pockets: those with pockets on the trunk, and those who wear trousers alone.
-_ON_THE_TRUNK, _IN_TROUSERS = 0.3, 0.12
-#: Families with pockets on the trunk; those with one before the belly; how often each kind where there are several.
-_JACKETS = ("hoodie", "jacket", "puffer", "parka", "anorak", "fleece")
-_TROUSERS = ("trousers", "shorts")
-_FRONT = ("hoodie", "anorak")
-_SHARES: dict[PocketKind, float] = {"jacket": 5, "front": 3, "trousers": 1.5, "seat": 0.3}
-#: Spacing of a pocket's cloth (metres), its thickness, and how far it goes beyond the hand all around.
-_STEP_M, _THICK_M, _AROUND_M = 0.014, (0.004, 0.012), (0.045, 0.08)
-#: Where its mouth is, from the wrist towards the fingers (metres): in jackets sleeves go in.
+#: Share of people with a hand in a pocket, of those with pockets in a jacket.
+_JACKET_POCKET_SHARE = 0.3
+#: The same of those with pockets in their trousers only.
+_TROUSER_POCKET_SHARE = 0.12
+#: Families of garments with pockets at the sides of the trunk.
+_JACKET_POCKET_FAMILIES = ("hoodie", "jacket", "puffer", "parka", "anorak", "fleece")
+#: Families with pockets at the hips.
+_TROUSER_POCKET_FAMILIES = ("trousers", "shorts")
+#: Families with one pocket in front of the belly.
+_FRONT_POCKET_FAMILIES = ("hoodie", "anorak")
+#: Relative frequency of the kinds of pockets.
+_KIND_WEIGHTS: dict[PocketKind, float] = {"jacket": 5, "front": 3, "trousers": 1.5, "seat": 0.3}
+#: Grid spacing of a pocket's cloth (metres).
+_STEP_M = 0.014
+#: Least and greatest thickness of a pocket's cloth (metres).
+_CLOTH_M = (0.004, 0.012)
+#: Least and greatest width of a pocket beyond the hand, on all sides (metres).
+_BORDER_M = (0.045, 0.08)
+#: Range of a pocket's opening, measured from the wrist towards the fingers (metres); pockets of jackets take the cuff
+#: in.
 _MOUTH_M: dict[PocketKind, tuple[float, float]] = {
     "jacket": (-0.06, 0.02), "front": (-0.06, 0.02), "trousers": (0.0, 0.05), "seat": (0.0, 0.05)
 }  # fmt: skip
-#: Rounds in which it is drawn taut.
-_ROUNDS = 30
-_ARM = ("hand", "wrist", "forearm", "elbow", "upper arm", "shoulder front", "shoulder back")
-#: The body is looked for within this of the hand (metres).
-_NEAR_M = 0.25
+#: Number of rounds in which the cloth is relaxed.
+_RELAXATION_ROUNDS = 30
+#: Regions of the arm, which are not part of the body beneath a pocket.
+_ARM_REGIONS = ("hand", "wrist", "forearm", "elbow", "upper arm", "shoulder front", "shoulder back")
+#: Range from the hand within which the body beneath a pocket is measured (metres).
+_RANGE_M = 0.25
 
 
-def pockets_of(garments: tuple[Garment, ...]) -> dict[PocketKind, Garment]:
-    """The pockets there are in what somebody wears, and what each is of."""
-    top = _top(garments)
-    found: dict[PocketKind, Garment] = {}
-    if top is not None and top.family in _JACKETS:
-        found["jacket"] = top
-        if top.family in _FRONT and not top.open_m:
-            found["front"] = top
+def find_pockets(garments: tuple[Garment, ...]) -> dict[PocketKind, Garment]:
+    """The kinds of pockets in a person's garments, and the garment of each."""
+    top = _outermost_top(garments)
+    pockets: dict[PocketKind, Garment] = {}
+    if top is not None and top.family in _JACKET_POCKET_FAMILIES:
+        pockets["jacket"] = top
+        if top.family in _FRONT_POCKET_FAMILIES and not top.open_m:
+            pockets["front"] = top
     for garment in garments:
-        if garment.family in _TROUSERS:
-            found["trousers"] = found["seat"] = garment
-    return found
+        if garment.family in _TROUSER_POCKET_FAMILIES:
+            pockets["trousers"] = pockets["seat"] = garment
+    return pockets
 
 
-def _top(garments: tuple[Garment, ...]) -> Garment | None:
-    """The outermost of what hangs from the shoulders."""
+def _outermost_top(garments: tuple[Garment, ...]) -> Garment | None:
+    """The outermost garment that hangs from the shoulders."""
     tops = [garment for garment in garments if garment.top is None]
     return tops[-1] if tops else None
 
 
-def posed_in_clothes(
+def pose_in_clothes(
     dressed: DressedBody, posture: Float[ndarray, "20 3"], rng: np.random.Generator, share: float | None = None
 ) -> PosedPerson:
-    """Somebody in a posture as their clothes let them hold their arms: off the trunk in thick sleeves, and now and
-    then with hands in the pockets.
+    """A dressed person in a posture. Thick sleeves keep the arms off the trunk; some people put hands in pockets.
 
     Args:
-        share: of people with a hand in a pocket, where they have pockets; by default what is ordinary.
+        share: of people with a hand in a pocket, of those with pockets; by default an ordinary share.
     """
-    top = _top(dressed.clothes.garments)
+    top = _outermost_top(dressed.clothes.garments)
     bulk = 0.0 if top is None or not top.sleeve else top.thickness_m + 0.3 * top.slack_m
     if bulk > 0.02:
         posture = arms_off_trunk(posture, bulk * rng.uniform(0.3, 1.0))
-    pockets = pockets_of(dressed.clothes.garments)
+    pockets = find_pockets(dressed.clothes.garments)
     if share is None:
-        share = _ON_THE_TRUNK if "jacket" in pockets else _IN_TROUSERS
+        share = _JACKET_POCKET_SHARE if "jacket" in pockets else _TROUSER_POCKET_SHARE
     if not pockets or rng.random() >= share:
         return dressed.pose(posture)
     kinds = list(pockets)
-    weights = np.array([_SHARES[kind] for kind in kinds])
-    order = rng.choice(len(kinds), 2, p=weights / weights.sum())
-    beneath = rng.uniform(0.2, 0.7) * bulk
-    posture, hands = hands_in_pockets(posture, [kinds[int(i)] for i in order], beneath, rng)
+    weights = np.array([_KIND_WEIGHTS[kind] for kind in kinds])
+    kind_indices = rng.choice(len(kinds), 2, p=weights / weights.sum())
+    inner_m = rng.uniform(0.2, 0.7) * bulk
+    posture, hands = hands_in_pockets(posture, [kinds[int(i)] for i in kind_indices], inner_m, rng)
     person = dressed.pose(posture)
-    covers = tuple(_cover(person, hand, pockets[hand.kind], rng) for hand in hands)
-    return dataclasses.replace(person, layers=person.layers + covers)
+    pocket_layers = tuple(_pocket_layer(person, hand, pockets[hand.kind], rng) for hand in hands)
+    return dataclasses.replace(person, layers=person.layers + pocket_layers)
 
 
-def _cover(person: PosedPerson, pocketed: Pocketed, garment: Garment, rng: np.random.Generator) -> Layer:
-    """A pocket's cloth: over the hand, down to the body around it, open towards the wrist.
+def _pocket_layer(person: PosedPerson, pocketed: Pocketed, garment: Garment, rng: np.random.Generator) -> Layer:
+    """The cloth of a pocket: it lies over the hand, meets the body around it, and is open towards the wrist.
 
-    It is a height over the plane of the body's skin there, found on a grid: above the hand, and taut between that and
-    the body.
+    The cloth is a height map over the tangent plane of the skin: above the hand, and taut between hand and body.
     """
     side, normal = pocketed.side, pocketed.normal
     hand = person.vertices[vertices_of(person.body.model, ("hand",), side)].astype(float)
@@ -99,49 +108,49 @@ def _cover(person: PosedPerson, pocketed: Pocketed, garment: Garment, rng: np.ra
     frame = np.stack([ahead, np.cross(normal, ahead), normal], 1)
     local = (hand - middle) @ frame
     mouth = float((wrist - middle) @ ahead) + rng.uniform(*_MOUTH_M[pocketed.kind])
-    around = rng.uniform(*_AROUND_M)
-    rows = np.arange(mouth, local[:, 0].max() + around, _STEP_M)
-    columns = np.arange(local[:, 1].min() - around, local[:, 1].max() + around, _STEP_M)
+    border = rng.uniform(*_BORDER_M)
+    rows = np.arange(mouth, local[:, 0].max() + border, _STEP_M)
+    columns = np.arange(local[:, 1].min() - border, local[:, 1].max() + border, _STEP_M)
 
-    others = ~vertices_of(person.body.model, _ARM) & (np.abs(person.vertices - middle).max(1) < _NEAR_M)
-    body = (person.vertices[others] - middle) @ frame
+    is_body = ~vertices_of(person.body.model, _ARM_REGIONS) & (np.abs(person.vertices - middle).max(1) < _RANGE_M)
+    body = (person.vertices[is_body] - middle) @ frame
     padding = 0.5 * garment.thickness_m if garment.padded else 0.0
-    over_hand = _widest(_heights(local, rows, columns)) + rng.uniform(*_THICK_M) + padding
-    under = _heights(body, rows, columns)
+    hand_height = _dilate(_height_map(local, rows, columns)) + rng.uniform(*_CLOTH_M) + padding
+    body_height = _height_map(body, rows, columns)
     floor = float(local[:, 2].min()) - 0.05
-    under = np.where(np.isfinite(under), np.minimum(under, local[:, 2].max()), floor)
-    under[1:-1, 1:-1] = _around(under)
-    # The edge lies in the clothes that are on the body, but for the mouth.
-    lowest = np.maximum(over_hand, under - 0.01)
+    body_height = np.where(np.isfinite(body_height), np.minimum(body_height, local[:, 2].max()), floor)
+    body_height[1:-1, 1:-1] = _neighbour_mean(body_height)
+    # All edges but the opening lie on the body.
+    lowest = np.maximum(hand_height, body_height - 0.01)
     height = lowest.copy()
-    height[-1], height[:, 0], height[:, -1] = under[-1], under[:, 0], under[:, -1]
-    for _ in range(_ROUNDS):
-        height[1:-1, 1:-1] = np.maximum(lowest[1:-1, 1:-1], _around(height))
+    height[-1], height[:, 0], height[:, -1] = body_height[-1], body_height[:, 0], body_height[:, -1]
+    for _ in range(_RELAXATION_ROUNDS):
+        height[1:-1, 1:-1] = np.maximum(lowest[1:-1, 1:-1], _neighbour_mean(height))
         height[0, 1:-1] = np.maximum(lowest[0, 1:-1], height[1, 1:-1])
     x, y = np.meshgrid(rows, columns, indexing="ij")
     points = middle + np.stack([x, y, height], -1).reshape(-1, 3) @ frame.T
     return Layer(points.astype(np.float32), grid_faces(len(rows), len(columns), False), cloth_material(garment))
 
 
-def _heights(
+def _height_map(
     points: Float[ndarray, "n 3"], rows: Float[ndarray, "r"], columns: Float[ndarray, "c"]
 ) -> Float[ndarray, "r c"]:
-    """The highest of the points around each place of a grid; −∞ where there is none."""
-    out = np.full((len(rows), len(columns)), -np.inf)
+    """Largest height of the points in each cell of a grid; −∞ in empty cells."""
+    heights = np.full((len(rows), len(columns)), -np.inf)
     row = np.round((points[:, 0] - rows[0]) / _STEP_M).astype(int)
     column = np.round((points[:, 1] - columns[0]) / _STEP_M).astype(int)
     inside = (row >= 0) & (row < len(rows)) & (column >= 0) & (column < len(columns))
-    np.maximum.at(out, (row[inside], column[inside]), points[inside, 2])
-    return out
+    np.maximum.at(heights, (row[inside], column[inside]), points[inside, 2])
+    return heights
 
 
-def _widest(height: Float[ndarray, "r c"]) -> Float[ndarray, "r c"]:
-    """The highest of each place of a grid and those around it."""
+def _dilate(height: Float[ndarray, "r c"]) -> Float[ndarray, "r c"]:
+    """Maximum over each cell and its eight neighbours."""
     padded = np.pad(height, 1, mode="edge")
     rows = np.maximum.reduce([padded[:-2], padded[1:-1], padded[2:]])
     return np.maximum.reduce([rows[:, :-2], rows[:, 1:-1], rows[:, 2:]])
 
 
-def _around(height: Float[ndarray, "r c"]) -> Float[ndarray, "r2 c2"]:
-    """The mean of the four places around each of a grid but its edge."""
+def _neighbour_mean(height: Float[ndarray, "r c"]) -> Float[ndarray, "r2 c2"]:
+    """Mean of the four neighbours of every inner cell."""
     return (height[:-2, 1:-1] + height[2:, 1:-1] + height[1:-1, :-2] + height[1:-1, 2:]) / 4

@@ -1,6 +1,6 @@
-"""What people wear, as settings: families of garments, hair and shoes with the ranges they are drawn from.
+"""Settings of clothes: families of garments, hair and shoes, and the ranges of their random parameters.
 
-Ranges are our choice, after ordinary clothes' sizes; lengths are of an adult and shrink with the body.
+The ranges are our choice, after the sizes of ordinary clothes. Lengths are those of an adult and scale with the body.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import numpy as np
 
 from depthmocap.errors import InputError
 
-#: The family that is kept out of training, to test what a network makes of clothes it has never seen.
+#: The family of garments that is kept out of training, to test networks on unknown clothes.
 HELD_OUT_FAMILY = "coat"
 
-#: Height of the line that skirts and low hems hang from, metres above the crotch.
+#: Height above the crotch of the line that skirts and low hems hang from (metres).
 SKIRT_LINE_M = 0.05
 
 Hood = Literal["none", "down", "up"]
@@ -30,25 +30,25 @@ class Garment:
 
     Attributes:
         family: a key of ``FAMILIES``.
-        thickness_m: cloth and what is under it, over the skin everywhere.
-        slack_m: air under the cloth where it is loosest.
-        sag: 0–1, how freely it falls from what sticks out (chest, belly, seat) instead of following the skin.
+        thickness_m: of the cloth, everywhere.
+        slack_m: air beneath the cloth where it is loosest.
+        sag: 0–1, how freely the cloth falls from chest, belly and seat instead of following the skin.
         folds_m: height of folds.
-        top: the upper edge on the trunk, metres above the crotch; tops, which hang from the shoulders, have none.
-        hem: the lower edge on the trunk, metres above the crotch.
-        neck: how far it goes up the neck, metres above its root; negative is cut out.
-        v_neck_m: how much deeper the neckline is in front.
+        top: upper edge on the trunk, metres above the crotch; None for tops, which hang from the shoulders.
+        hem: lower edge on the trunk, metres above the crotch.
+        neck: upper edge at the neck, metres above its root; negative for a neckline that is cut out.
+        v_neck_m: additional depth of the neckline in front.
         sleeve: 0 none, 1 to the elbow, 2 to the wrist.
         leg: 0 none, 1 to the knee, 2 to the ankle.
-        skirt_m: length of what hangs free around both legs, from ``SKIRT_LINE_M`` above the crotch; 0 is none.
+        skirt_m: length of the part that hangs around both legs, from ``SKIRT_LINE_M`` above the crotch; 0 for none.
         flare: outward slope of the skirt, metres a metre.
         cuff: 0–1, how tightly an elastic gathers hem and cuffs.
-        open_m: half the gap of an open front at the hem; 0 is closed.
-        hood_m: thickness of cloth that is gathered at the neckline: of a hood that lies on the back, or of a collar.
-        hood: a hood's own shape: none, lying round the neck and on the back, or up, over the head.
-        collar_m: height of a collar that stands round the neck, from its root; 0 is none.
-        quilt_m: distance of the seams across trunk and sleeves between which padding bulges; 0 is none.
-        one_shoulder: 1 for what is wound over the left shoulder alone and slants to the other hip, −1 for the right.
+        open_m: half the gap of an open front at the hem; 0 for a closed one.
+        hood_m: thickness of cloth gathered at the neckline: of a hood on the back, or of a collar.
+        hood: a separately modelled hood: none, down (around the neck and on the back) or up (over the head).
+        collar_m: height of a standing collar from the root of the neck; 0 for none.
+        quilt_m: distance between quilting seams across trunk and sleeves; 0 for none.
+        one_shoulder: 1 for a shawl over the left shoulder only, which slants to the right hip; −1 for the right.
         dark: dark cloth, which returns less light.
     """
 
@@ -92,12 +92,12 @@ class Garment:
 
     @property
     def padded(self) -> bool:
-        """Whether there is padding in it, as in outdoor jackets."""
+        """Whether the garment is padded, as outdoor jackets are."""
         return self.family in OUTDOOR_FAMILIES
 
     @property
     def hangs_m(self) -> float:
-        """Length (metres) of what hangs free around the hips and legs: a skirt, or a top's hem that reaches low."""
+        """Length (metres) of the part that hangs around hips and legs: a skirt, or the low hem of a top."""
         if self.skirt_m or self.leg:
             return self.skirt_m
         return max(SKIRT_LINE_M - self.hem, 0.0) if self.hem < SKIRT_LINE_M - 0.02 else 0.0
@@ -105,8 +105,8 @@ class Garment:
 
 @dataclasses.dataclass(frozen=True)
 class Hair:
-    """Hair: its thickness over the scalp (metres), the length of what hangs (metres), 0–1 how lumpy it is, and 0–1 how
-    much of what hangs lies before the shoulders."""
+    """Hair: thickness over the scalp and length of hanging hair (metres), lumpiness (0–1), and share of hanging hair in
+    front of the shoulders (0–1)."""
 
     style: HairStyle = "short"
     volume_m: float = 0.015
@@ -117,7 +117,7 @@ class Hair:
 
 @dataclasses.dataclass(frozen=True)
 class Shoes:
-    """Shoes: sole and upper (metres) and how far up the leg boots reach (1 knee, 2 ankle)."""
+    """Shoes: thickness of sole and upper (metres), and upper edge of a boot's shaft (1 knee, 2 ankle)."""
 
     style: ShoeStyle = "shoes"
     sole_m: float = 0.02
@@ -127,7 +127,7 @@ class Shoes:
 
 @dataclasses.dataclass(frozen=True)
 class Hat:
-    """What is worn on the head: its thickness over the hair, and how far a brim or a visor reaches out (metres)."""
+    """A hat: thickness over the hair, and width of a brim or a visor (metres)."""
 
     style: HatStyle = "none"
     thickness_m: float = 0.01
@@ -136,7 +136,7 @@ class Hat:
 
 @dataclasses.dataclass(frozen=True)
 class Scarf:
-    """A scarf round the neck: radius of its roll, and lengths of the ends on the chest, 0 for none (metres)."""
+    """A scarf: radius of the roll around the neck, and lengths of the two ends on the chest (metres); 0 for no end."""
 
     roll_m: float = 0.03
     ends_m: tuple[float, float] = (0.0, 0.0)
@@ -144,7 +144,7 @@ class Scarf:
 
 @dataclasses.dataclass(frozen=True)
 class Clothes:
-    """All that a person wears: garments from the inside out, hair, shoes, a hat and a scarf."""
+    """The clothes of a person: garments from the inside out, hair, shoes, hat and scarf."""
 
     garments: tuple[Garment, ...] = ()
     hair: Hair = Hair("bald")
@@ -155,7 +155,7 @@ class Clothes:
 
 _Range = tuple[float, float]
 
-#: Family → settings, each drawn uniformly within its range; ``slack_m`` and ``sag`` are drawn together, tight to loose.
+#: Ranges of the settings by family. Values are uniform; ``slack_m`` and ``sag`` are correlated, from tight to loose.
 FAMILIES: dict[str, dict[str, _Range]] = {
     "tank": {"thickness_m": (0.003, 0.006), "slack_m": (0.0, 0.03), "sag": (0.1, 0.9), "folds_m": (0.001, 0.005),
              "hem": (0.0, 0.16), "neck": (-0.07, -0.02), "v_neck_m": (0, 0.06)},
@@ -185,12 +185,12 @@ FAMILIES: dict[str, dict[str, _Range]] = {
     "dress": {"thickness_m": (0.003, 0.008), "slack_m": (0.003, 0.035), "sag": (0.1, 0.8), "folds_m": (0.002, 0.02),
               "neck": (-0.06, 0.03), "v_neck_m": (0, 0.07), "sleeve": (0, 1.95), "skirt_m": (0.25, 0.9),
               "flare": (0.0, 0.45)},
-    # To the ground, closed, of thin cloth, so that no coat is like it.
+    # A gown is closed, thin and reaches the ground, so that it does not resemble the held-out coats.
     "gown": {"thickness_m": (0.003, 0.008), "slack_m": (0.015, 0.055), "sag": (0.7, 1), "folds_m": (0.004, 0.016),
              "neck": (0.0, 0.05), "sleeve": (1.5, 2.0), "skirt_m": (0.84, 1.0), "flare": (0.03, 0.35)},
     "shawl": {"thickness_m": (0.003, 0.012), "slack_m": (0.01, 0.05), "sag": (0.6, 1), "folds_m": (0.005, 0.016),
               "hem": (0.0, 0.2), "neck": (-0.03, 0.03), "sleeve": (0.1, 1.0)},
-    # Outdoor jackets. They end above the middle of the thighs, where the shortest coat goes on.
+    # Outdoor jackets end above the middle of the thighs; the shortest held-out coat is longer.
     "puffer": {"thickness_m": (0.02, 0.06), "slack_m": (0.01, 0.05), "sag": (0.7, 1), "folds_m": (0.002, 0.008),
                "hem": (-0.08, 0.17), "neck": (0.01, 0.04), "sleeve": (1.8, 2.02), "cuff": (0.2, 1),
                "hood_m": (0.02, 0.05), "collar_m": (0.04, 0.115), "quilt_m": (0.06, 0.13)},
@@ -205,12 +205,12 @@ FAMILIES: dict[str, dict[str, _Range]] = {
                "hood_m": (0.005, 0.02), "collar_m": (0.03, 0.1)},
 }  # fmt: skip
 
-#: Families of some peoples and occasions.
+#: Families of robes.
 ROBE_FAMILIES = ("gown", "shawl")
-#: Families worn over all else and outdoors: thick, stiff or blown up, with standing collars and hoods.
+#: Families of outdoor jackets: thick, stiff or padded, with standing collars and hoods.
 OUTDOOR_FAMILIES = ("puffer", "parka", "anorak", "fleece")
 
-#: Share of clothes that is dark.
+#: Share of dark garments.
 DARK_SHARE = 0.25
 
 
@@ -218,11 +218,11 @@ def random_garment(rng: np.random.Generator, family: str) -> Garment:
     """A garment of a family, within its ranges."""
     ranges = FAMILIES[family]
     values = {name: float(rng.uniform(*span)) for name, span in ranges.items()}
-    # Most trousers are rather tight.
-    loose = rng.beta(1.2, 2.2) if family == "trousers" else rng.uniform()
+    # Most trousers are tight.
+    looseness = rng.beta(1.2, 2.2) if family == "trousers" else rng.uniform()
     for name in ("slack_m", "sag"):
         low, high = ranges[name]
-        values[name] = low + (high - low) * float(np.clip(loose + rng.normal(0, 0.1), 0, 1))
+        values[name] = low + (high - low) * float(np.clip(looseness + rng.normal(0, 0.1), 0, 1))
     garment = dataclasses.replace(Garment(family), **values, dark=bool(rng.random() < DARK_SHARE))
     if family in ("jacket", "coat", *OUTDOOR_FAMILIES) and rng.random() < 0.45:
         garment = dataclasses.replace(garment, open_m=float(rng.uniform(0.04, 0.12)))
@@ -234,7 +234,7 @@ def random_garment(rng: np.random.Generator, family: str) -> Garment:
 
 
 def random_hair(rng: np.random.Generator, gender: float = 0.5) -> Hair:
-    """Hair of any style; long ones are likelier towards gender 1."""
+    """Hair of any style; long styles are likelier towards gender 1."""
     styles: tuple[HairStyle, ...] = ("bald", "short", "curly", "bob", "long", "ponytail", "bun")
     shares = (1 - gender) * np.array([12, 66, 8, 4, 5, 2, 3]) + gender * np.array([1, 17, 10, 18, 30, 15, 9])
     style = styles[rng.choice(len(styles), p=shares / shares.sum())]
@@ -245,19 +245,19 @@ def random_hair(rng: np.random.Generator, gender: float = 0.5) -> Hair:
 
 
 def random_shoes(rng: np.random.Generator) -> Shoes:
-    """Shoes or boots; now and then bare feet."""
+    """Shoes, boots or, rarely, bare feet."""
     styles: tuple[ShoeStyle, ...] = ("bare", "shoes", "boots")
     style = styles[rng.choice(3, p=(0.08, 0.75, 0.17))]
-    high = float(rng.uniform(1.1, 1.85))
-    return Shoes(style, float(rng.uniform(0.008, 0.04)), float(rng.uniform(0.003, 0.012)), high)
+    shaft = float(rng.uniform(1.1, 1.85))
+    return Shoes(style, float(rng.uniform(0.008, 0.04)), float(rng.uniform(0.003, 0.012)), shaft)
 
 
 def random_clothes(rng: np.random.Generator, held_out: bool = False, gender: float = 0.5) -> Clothes:
-    """What somebody may wear.
+    """Random indoor clothes.
 
     Args:
-        held_out: always wear the family ``HELD_OUT_FAMILY``; otherwise never.
-        gender: 0–1 as in ``Phenotype``; it only shifts how likely skirts, dresses and long hair are.
+        held_out: the clothes always include ``HELD_OUT_FAMILY``; otherwise never.
+        gender: 0–1 as in ``Phenotype``; it changes the shares of skirts, dresses and long hair only.
     """
     hair, shoes = random_hair(rng, gender), random_shoes(rng)
     garments: list[Garment] = []
@@ -272,21 +272,21 @@ def random_clothes(rng: np.random.Generator, held_out: bool = False, gender: flo
         bottom = random_garment(rng, str(lower))
         upper = rng.choice(["tank", "t-shirt", "shirt", "sweater", "hoodie"], p=[0.07, 0.33, 0.2, 0.2, 0.2])
         top = random_garment(rng, str(upper))
-        if upper in ("tank", "t-shirt", "shirt") and rng.random() < 0.25:  # tucked in: the bottom goes over it
+        if upper in ("tank", "t-shirt", "shirt") and rng.random() < 0.25:  # tucked into the bottom
             assert bottom.top is not None
             garments = [dataclasses.replace(top, hem=bottom.top - 0.04, sag=top.sag * 0.5), bottom]
         else:
             garments = [bottom, top]
     if held_out:
         coat = random_garment(rng, HELD_OUT_FAMILY)
-        # It must go over a skirt.
+        # The coat must lie over a skirt.
         garments.append(dataclasses.replace(coat, flare=max([coat.flare, *(inner.flare for inner in garments)])))
     elif rng.random() < 0.22:
         garments.append(random_garment(rng, "jacket"))
     return Clothes(tuple(garments), hair, shoes)
 
 
-#: What the one character of easy and inter wears.
+#: Clothes of the one character of easy and inter.
 ORDINARY_CLOTHES = Clothes(
     (
         Garment("trousers", 0.005, slack_m=0.025, sag=0.5, folds_m=0.004, top=0.2, leg=2.05),
