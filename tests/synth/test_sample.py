@@ -256,5 +256,5 @@ def test_everybody_sits_or_touches_themselves_however_varied_they_are() -> None:
     assert isinstance(postures, PosturePrior)
     rng = np.random.default_rng(0)
     for _ in range(50):
-        one = postures.variation.of_one(rng)
+        one = postures.variation.draw(rng)
         assert (one.sit, one.touch) == (1.0, 1.0)

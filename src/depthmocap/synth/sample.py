@@ -18,7 +18,7 @@ from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.geometry.transforms import look_at
 from depthmocap.synth.body.mesh import PosedBody
 from depthmocap.synth.cut import CUTS, Cut, cut_plane, random_cut
-from depthmocap.synth.motion.beyond import FAMILIES, Family
+from depthmocap.synth.motion.extreme_postures import FAMILIES, Family
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, PostureSource, Variation, posture_source
 from depthmocap.synth.people.bodies import Wardrobe, random_dressed_body
 from depthmocap.synth.people.garments import DressedBody

@@ -18,7 +18,13 @@ from depthmocap.synth.motion.mocap import SPLITS, Clip, SkippedClip, split_of, w
 from depthmocap.synth.motion.pool import KINDS, PosturePool
 from depthmocap.synth.motion.pool_build import PoolBuild, build_pool
 from depthmocap.synth.motion.postures import UPPER_BONES, ClipPostures, Variation, joint_positions, posture_source
-from depthmocap.synth.motion.prior_report import PostureReport, compare_sources, nearest, penetrating, report_postures
+from depthmocap.synth.motion.prior_report import (
+    PostureReport,
+    compare_sources,
+    distances_to_nearest,
+    is_penetrating,
+    report_postures,
+)
 
 
 def random_postures(count: int, seed: int = 0, size: float = 0.3) -> np.ndarray:
@@ -76,7 +82,7 @@ def test_a_cover_keeps_what_is_distinct_and_nothing_else() -> None:
     among = distances(cover.ends, cover.ends)
     np.fill_diagonal(among, np.inf)
     assert among.min() > 0.15
-    assert nearest(joint_positions(postures).astype(np.float32), cover.ends).max() <= 0.15 + 1e-6
+    assert distances_to_nearest(joint_positions(postures).astype(np.float32), cover.ends).max() <= 0.15 + 1e-6
 
 
 def test_a_full_cover_grows_its_radius() -> None:
@@ -256,7 +262,7 @@ def test_few_postures_are_the_most_dissimilar(tmp_path: Path, capsys: pytest.Cap
     np.fill_diagonal(among, np.inf)
     stop = pool.report["distances_m"]["train"]["stop"]
     assert among.min() >= stop - 1e-3
-    reach = nearest(joint_positions(without_heading(recorded_of("train"))).astype(np.float32), ends).max()
+    reach = distances_to_nearest(joint_positions(without_heading(recorded_of("train"))).astype(np.float32), ends).max()
     assert reach <= stop + 0.02 + 1e-3
     printed = capsys.readouterr().out
     assert "skipped bad.bvh: it is cut off" in printed
@@ -370,8 +376,8 @@ def test_penetration_of_known_postures() -> None:
     postures[1, POSTURE_INDEX["upper_arm.L"]] = [0, 1.6, 0]  # the arm swung inwards through the trunk
     postures[2, POSTURE_INDEX["thigh.L"]] = [0, 0.2, 0]  # both legs crossed into one another
     postures[2, POSTURE_INDEX["thigh.R"]] = [0, -0.2, 0]
-    assert penetrating(postures)[0] == np.False_
-    np.testing.assert_array_equal(penetrating(postures), [False, True, True])
+    assert is_penetrating(postures)[0] == np.False_
+    np.testing.assert_array_equal(is_penetrating(postures), [False, True, True])
 
 
 def test_report_tells_near_from_far(default_body: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

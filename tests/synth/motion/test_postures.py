@@ -21,7 +21,7 @@ from depthmocap.synth.motion.postures import (
     Variation,
     joint_positions,
     posture_source,
-    thin,
+    thin_frames,
 )
 from depthmocap.synth.motion.prior import PriorTraining, fit_prior
 
@@ -169,7 +169,7 @@ def swinging_clip(name: str, seed: int, split: str = "train", simple: bool = Fal
 
 def test_thin_keeps_what_differs() -> None:
     postures = swinging_clip("a", 0, frames=200).postures
-    kept = thin(postures, 0.05)
+    kept = thin_frames(postures, 0.05)
     ends = joint_positions(postures)
     steps = np.abs(np.diff(ends[kept], axis=0)).max((1, 2))
     assert (steps > 0.05).all()
@@ -178,8 +178,8 @@ def test_thin_keeps_what_differs() -> None:
     # Every frame is near the one kept before it.
     last = kept[np.searchsorted(kept, np.arange(200), side="right") - 1]
     assert np.abs(ends - ends[last]).max() <= 0.05
-    assert len(thin(np.repeat(postures[:1], 9, 0), 0.05)) == 1
-    assert len(thin(postures[:0], 0.05)) == 0
+    assert len(thin_frames(np.repeat(postures[:1], 9, 0), 0.05)) == 1
+    assert len(thin_frames(postures[:0], 0.05)) == 0
 
 
 def test_joint_positions_lie_at_typical_distances() -> None:

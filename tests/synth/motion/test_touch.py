@@ -11,7 +11,7 @@ from depthmocap.synth.body.bones import POSTURE_BONES, POSTURE_INDEX, turn_postu
 from depthmocap.synth.body.mesh import REST_POSTURE, Body
 from depthmocap.synth.motion.limits import within_limits
 from depthmocap.synth.motion.postures import PosturePrior, Variation
-from depthmocap.synth.motion.touch import _through_trunk, default_skin, hands_on_body
+from depthmocap.synth.motion.touch import _crosses_trunk, default_body_surface, hands_on_body
 
 ARMS = [i for i, name in enumerate(POSTURE_BONES) if name.split(".")[0] in ("upper_arm", "forearm", "hand")]
 
@@ -85,11 +85,11 @@ def test_arms_do_not_pass_through_the_trunk() -> None:
     ends = np.array([[0.0, 0, 0], [0, 0, 0.5]])
     # The spine is nearer to the back than to the belly.
     for y, inside in ((-0.15, False), (-0.08, True), (0.04, True), (0.08, False)):
-        assert _through_trunk(np.array([[0.0, y, 0.2]]), ends, np.eye(3)) == inside
-    assert not _through_trunk(np.array([[0.0, 0, 0.7]]), ends, np.eye(3))  # above it
+        assert _crosses_trunk(np.array([[0.0, y, 0.2]]), ends, np.eye(3)) == inside
+    assert not _crosses_trunk(np.array([[0.0, 0, 0.7]]), ends, np.eye(3))  # above it
     # Turned by a quarter, what lay behind the narrow side lies in the wide one.
     turned = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    assert _through_trunk(np.array([[0.0, 0.12, 0.2]]), ends, turned)
+    assert _crosses_trunk(np.array([[0.0, 0.12, 0.2]]), ends, turned)
 
 
 def test_swings_turn_one_direction_into_another() -> None:
@@ -104,7 +104,7 @@ def test_swings_turn_one_direction_into_another() -> None:
 def test_the_left_hands_places_are_the_rights_mirrored() -> None:
     for name, other in (("thigh R", "thigh L"), ("upper arm L", "upper arm R"), ("neck front", "neck front")):
         assert MIRROR[REGION[name]] == REGION[other]
-    skin = default_skin()
+    skin = default_body_surface()
     regions = np.asarray(skin.body.model.face_regions)
     for right, left in zip(skin.faces["R"], skin.faces["L"], strict=True):
         assert set(MIRROR[regions[right]]) == set(regions[left])

@@ -13,7 +13,7 @@ from depthmocap.geometry.transforms import look_at
 from depthmocap.synth.body.bones import POSTURE_BONES, POSTURE_INDEX
 from depthmocap.synth.body.mesh import REST_POSTURE, Body
 from depthmocap.synth.motion.limits import within_limits
-from depthmocap.synth.motion.pocketed_hands import PocketKind, arms_off_trunk, hands_in_pockets
+from depthmocap.synth.motion.pocketed_hands import PocketKind, hands_in_pockets, hold_arms_off_trunk
 from depthmocap.synth.people.bodies import random_dressed_body
 from depthmocap.synth.people.garments import DressedBody, clothe
 from depthmocap.synth.people.outdoors import HAT_SHARE, HOOD_UP_SHARE, JACKET_SHARE, SCARF_SHARE, add_outdoor_clothes
@@ -244,13 +244,14 @@ def test_nobody_in_a_dress_has_pockets(default_body: Body) -> None:
 
 def test_thick_sleeves_hold_hanging_arms_off_the_trunk(default_body: Body) -> None:
     apart = [
-        np.abs(default_body.pose(arms_off_trunk(standing(), bulk)).joints[:, 0]).max() for bulk in (0.0, 0.03, 0.06)
+        np.abs(default_body.pose(hold_arms_off_trunk(standing(), bulk)).joints[:, 0]).max()
+        for bulk in (0.0, 0.03, 0.06)
     ]
     assert apart[0] + 0.03 < apart[1] < apart[2] < apart[0] + 0.3
     raised = REST_POSTURE.copy()
     for side, sign in (("R", 1.0), ("L", -1.0)):
         raised[POSTURE_INDEX[f"upper_arm.{side}"]] = (0, sign * 0.8, 0)
-    np.testing.assert_allclose(arms_off_trunk(raised, 0.06), raised, atol=1e-9)
+    np.testing.assert_allclose(hold_arms_off_trunk(raised, 0.06), raised, atol=1e-9)
 
 
 def test_outdoor_people_depend_on_the_seed_alone(default_body: Body) -> None:

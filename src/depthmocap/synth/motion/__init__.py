@@ -1,1 +1,1 @@
-"""Postures: motion capture files, pools and the prior, and the demo's motion."""
+"""Postures: motion capture files, pools, the prior, and procedural motion."""

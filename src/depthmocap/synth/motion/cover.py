@@ -1,4 +1,4 @@
-"""A growing set of distinct postures in bounded memory, and the most dissimilar of them."""
+"""Sets of distinct postures: a streaming cover in bounded memory, and farthest-point sampling."""
 
 from __future__ import annotations
 
@@ -12,16 +12,18 @@ from depthmocap.kernels.nearest_postures import grow_cover, pick_farthest
 from depthmocap.synth.motion.mocap import without_heading
 from depthmocap.synth.motion.postures import joint_positions
 
-#: When the cover is full its radius grows by this: the doubling algorithm of streaming k-centre in smaller steps.
-_GROWTH = 1.2
-#: Picks between two reports of progress, and postures in a block of neighbours.
-_BLOCK, _LEAF = 500, 48
+#: Growth of the radius of a full cover: the doubling algorithm of streaming k-centre in smaller steps.
+_RADIUS_GROWTH = 1.2
+#: Number of picks between two reports of progress.
+_PROGRESS_STEP = 500
+#: Largest number of postures in a block of neighbours.
+_BLOCK_SIZE = 48
 
 
 class Cover:
-    """Postures no two of which are within ``radius_m`` (the joint that differs most), each with a tag of the caller's.
+    """Postures with pairwise distances above ``radius_m`` (of the joint that differs most), each with a caller's tag.
 
-    The radius grows when there are more than ``capacity``.
+    The radius grows when there are more than ``capacity`` postures.
     """
 
     def __init__(self, radius_m: float, capacity: int) -> None:
@@ -39,7 +41,7 @@ class Cover:
 
     @property
     def ends(self) -> Float[ndarray, "n 20 3"]:
-        """Joint positions by which postures are compared."""
+        """Joint positions by which postures are compared (metres)."""
         return self._ends[: self.count]
 
     @property
@@ -47,37 +49,40 @@ class Cover:
         return self._tags[: self.count]
 
     def add(self, postures: Float[ndarray, "n 20 3"], tags: Int[ndarray, "n"], limit: int | None = None) -> int:
-        """Add the distinct ones of some postures, without their headings; returns how many were added.
+        """Add the distinct ones of some postures, without their headings; returns their number.
 
-        With a ``limit`` at most that many are held, and the radius stays."""
+        With a ``limit`` the cover holds at most that many postures and keeps its radius.
+        """
         postures = without_heading(postures).astype(np.float32)
         ends = joint_positions(postures).astype(np.float32)
         before, start = self.count, 0
         while start < len(postures):
             is_kept = np.zeros(len(postures) - start, dtype=bool)
-            most = self.capacity if limit is None else min(limit, self.capacity)
+            limit_count = self.capacity if limit is None else min(limit, self.capacity)
             first = self.count
-            self.count, read = grow_cover(
-                ends[start:], self.radius_m, self._ends, first, self._table, self._following, is_kept, most
+            self.count, processed = grow_cover(
+                ends[start:], self.radius_m, self._ends, first, self._table, self._following, is_kept, limit_count
             )
             self._postures[first : self.count] = postures[start:][is_kept]
             self._tags[first : self.count] = tags[start:][is_kept]
-            start += read
+            start += processed
             if start < len(postures):
                 if limit is not None:
                     break
-                self._widen()
+                self._grow_radius()
         return self.count - before
 
-    def _widen(self) -> None:
-        """Grow the radius until a third of the room is free again."""
+    def _grow_radius(self) -> None:
+        """Grow the radius until a third of the capacity is free."""
         while self.count > self.capacity * 2 // 3:
-            self.radius_m *= _GROWTH
-            ends, kept = self.ends.copy(), np.zeros(self.count, dtype=bool)
+            self.radius_m *= _RADIUS_GROWTH
+            ends, is_kept = self.ends.copy(), np.zeros(self.count, dtype=bool)
             self._table.fill(-1)
-            count, _ = grow_cover(ends, self.radius_m, self._ends, 0, self._table, self._following, kept, self.capacity)
-            self._postures[:count] = self.postures[kept]
-            self._tags[:count] = self.tags[kept]
+            count, _ = grow_cover(
+                ends, self.radius_m, self._ends, 0, self._table, self._following, is_kept, self.capacity
+            )
+            self._postures[:count] = self.postures[is_kept]
+            self._tags[:count] = self.tags[is_kept]
             self.count = count
 
 
@@ -86,18 +91,18 @@ def farthest_points(
     stages: list[tuple[Bool[ndarray, "n"], int]],
     progress: Callable[[int], object] = lambda picked: None,
 ) -> tuple[Int[ndarray, "k"], float]:
-    """Greedy k-centre: the posture furthest from all that are picked, again and again.
+    """Greedy k-centre: repeatedly pick the posture farthest from all picked ones.
 
     Args:
         ends: joint positions.
-        stages: which postures may be picked, and the number of picks at which the stage ends; one after another.
-        progress: called with the number of selected postures now and then.
+        stages: one after another: candidates, and the number of picks at which the stage ends.
+        progress: called repeatedly with the number of picks.
 
     Returns:
-        Indices in the order of picking, and the distance of the posture that would have been next (metres): every
-        posture of the last stage is at least this near to a pick; 0 when none is left.
+        Indices in the order of picking, and the distance of the next pick (metres), which bounds the distance of every
+        candidate of the last stage from the picks; 0 when no candidate is left.
     """
-    order, starts = _blocks(ends)
+    order, starts = _spatial_blocks(ends)
     points = ends[order]
     low, high = np.minimum.reduceat(points, starts[:-1]), np.maximum.reduceat(points, starts[:-1])
     nearest2 = np.full(len(points), np.inf, np.float32)
@@ -106,19 +111,19 @@ def farthest_points(
     for allowed, target in stages:
         left2 = np.inf
         while count < target and left2 >= 0:
-            step = min(count + _BLOCK, target)
+            step = min(count + _PROGRESS_STEP, target)
             count, left2 = pick_farthest(points, starts, low, high, allowed[order], nearest2, picks, count, step)
             progress(count)
     return order[picks[:count]], float(np.sqrt(max(left2, 0.0)))
 
 
-def _blocks(ends: Float[ndarray, "n 20 3"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "b"]]:
-    """An order in which neighbours lie together, halved at the widest coordinate down to blocks, and their starts."""
+def _spatial_blocks(ends: Float[ndarray, "n 20 3"]) -> tuple[Int[ndarray, "n"], Int[ndarray, "b"]]:
+    """An order that groups neighbours in blocks, by halving at the widest coordinate, and the blocks' starts."""
     leaves: list[ndarray] = []
     stack = [np.arange(len(ends))]
     while stack:
         part = stack.pop()
-        if len(part) <= _LEAF:
+        if len(part) <= _BLOCK_SIZE:
             leaves.append(part)
             continue
         flat = ends[part].reshape(len(part), -1)

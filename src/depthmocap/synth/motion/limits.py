@@ -1,8 +1,8 @@
-"""Joint limits: recordings, priors and perturbations must stay within them.
+"""Joint limits of recorded, sampled and perturbed postures.
 
-The limits are our choice: generous, beyond what clinical tables of motion give for a single joint, because our bones
-stand for several joints (a spine bone for a third of the spine, an upper arm for the whole shoulder where a file has
-no clavicle) and clips differ in their rest poses.
+The limits are our choice. They are wider than clinical ranges of motion of single joints, because our bones stand for
+several joints (a spine bone for a third of the spine, an upper arm for the whole shoulder where a file has no clavicle)
+and because clips differ in their rest poses.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from depthmocap.synth.body.bones import POSTURE_BONES, POSTURE_INDEX
 
-#: By kind of bone: swing, and twist about the bone's own axis, away from rest (degrees). The pelvis is free.
+#: Largest swing and twist of each kind of bone away from rest (degrees). The pelvis has no limits.
 LIMITS_DEG: dict[str, tuple[float, float]] = {
     "spine_low": (75, 60),
     "spine_mid": (50, 40),
@@ -29,7 +29,7 @@ LIMITS_DEG: dict[str, tuple[float, float]] = {
     "shin": (155, 80),
     "foot": (90, 70),
 }
-#: A knee bends forwards by no more than this.
+#: Largest hyperextension of a knee (radians).
 _KNEE_FORWARDS_RAD = np.deg2rad(20)
 
 
@@ -47,7 +47,7 @@ def bone_axis(bone: str) -> Float[ndarray, "3"]:
 def swing_twist(
     postures: Float[ndarray, "n 20 3"],
 ) -> tuple[Float[ndarray, "n 20"], Float[ndarray, "n 20"]]:
-    """Angle by which every bone's axis is turned away from rest, and by which the bone is turned about it (radians)."""
+    """Swing (angle between every bone's axis and its axis at rest) and twist (angle about the axis), radians."""
     axes = np.stack([bone_axis(bone) / np.linalg.norm(bone_axis(bone)) for bone in POSTURE_BONES])
     quaternions = Rotation.from_rotvec(postures.reshape(-1, 3)).as_quat().reshape(*postures.shape[:2], 4)
     along = (quaternions[..., :3] * axes).sum(-1)
@@ -59,19 +59,19 @@ def swing_twist(
 
 
 def beyond_limits(postures: Float[ndarray, "n 20 3"]) -> Bool[ndarray, "n 20"]:
-    """Which bones of each posture are beyond :data:`LIMITS_DEG`; also a knee that is bent forwards."""
+    """Bones of each posture that exceed :data:`LIMITS_DEG`, and hyperextended knees."""
     swing, twist = swing_twist(postures.astype(np.float64))
     beyond = np.zeros(postures.shape[:2], dtype=bool)
     for bone, index in POSTURE_INDEX.items():
         kind = bone.partition(".")[0]
         if kind in LIMITS_DEG:
-            most_swing, most_twist = np.deg2rad(LIMITS_DEG[kind])
-            beyond[:, index] = (swing[:, index] > most_swing) | (np.abs(twist[:, index]) > most_twist)
+            largest_swing, largest_twist = np.deg2rad(LIMITS_DEG[kind])
+            beyond[:, index] = (swing[:, index] > largest_swing) | (np.abs(twist[:, index]) > largest_twist)
         if kind == "shin":
             beyond[:, index] |= postures[:, index, 0] < -_KNEE_FORWARDS_RAD
     return beyond
 
 
 def within_limits(postures: Float[ndarray, "n 20 3"]) -> Bool[ndarray, "n"]:
-    """Whether all bones of each posture are within :data:`LIMITS_DEG`, and no knee is bent forwards."""
+    """Whether all bones of each posture are within :data:`LIMITS_DEG` and no knee is hyperextended."""
     return np.asarray(~beyond_limits(postures).any(1))

@@ -1,4 +1,4 @@
-"""Motion capture clips as postures: the files of a folder, flips and impossible frames left out."""
+"""Motion capture clips as postures: the files of a folder, without flips and impossible frames."""
 
 from __future__ import annotations
 
@@ -26,29 +26,35 @@ from depthmocap.synth.motion.clips.skeletons import Joints, map_skeleton
 from depthmocap.synth.motion.limits import beyond_limits, within_limits
 
 SPLITS = ("train", "valid", "test")
-#: A bone that turns faster than this, and so many times as fast as before and afterwards, has flipped; so has one that
-#: turns faster than anybody kicks. A kick's shin turns by 60 degrees in a thirtieth of a second, and about as fast in
-#: the frames beside that.
-_FLIP_RAD_PER_S, _SUDDEN, _FASTEST_RAD_PER_S = np.deg2rad(55) * 30, 3.0, np.deg2rad(95) * 30
-#: What ends a limb or the trunk: nothing hangs from it but fingers and toes.
-_ENDS = np.array([POSTURE_INDEX[bone] for bone in ("head", "hand.R", "hand.L", "foot.R", "foot.L")])
-#: Who is no more upright than this (cosine) in so large a share of the frames lies, or their file's world does.
-_LYING, _MOSTLY = 0.5, 0.95
-#: Easy postures are of clips described so, as in the paper.
-_SIMPLE = re.compile(r"\b(walk|run|jog)(s|ing|ning|ging)?\b", re.IGNORECASE)
+#: Least angular speed of a flip. (A shin turns by 60 degrees in a thirtieth of a second in a kick, and about as fast in
+#: the neighbouring frames.)
+_FLIP_RAD_PER_S = np.deg2rad(55) * 30
+#: Least ratio of a flip's angular speed to that of the neighbouring frames.
+_FLIP_RATIO = 3.0
+#: Angular speed that no person reaches: a flip whatever the neighbouring frames are.
+_FASTEST_RAD_PER_S = np.deg2rad(95) * 30
+#: Bones at the ends of limbs and trunk.
+_END_BONES = np.array([POSTURE_INDEX[bone] for bone in ("head", "hand.R", "hand.L", "foot.R", "foot.L")])
+#: Largest cosine between a lying pelvis's axis and the vertical.
+_LYING_COSINE = 0.5
+#: Share of lying frames above which the clip, or the world of its file, counts as lying.
+_LYING_SHARE = 0.95
+#: Descriptions of clips of easy postures, as in the paper.
+_SIMPLE_PATTERN = re.compile(r"\b(walk|run|jog)(s|ing|ning|ging)?\b", re.IGNORECASE)
 _SUFFIXES = (".bvh", ".amc")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Clip:
-    """Postures of one motion capture clip, heading kept. ``simple`` marks what is described as walk or run.
+    """Postures of one motion capture clip, with headings.
 
     Attributes:
-        frames: about 30 a second, before flips and impossible frames were left out.
-        flipped, impossible: how many were.
-        skeleton: which joint is which of our bones, and how that was found.
-        up: the axis that was taken for up in the file's world where its rest pose stands along another.
-        lies: the person neither stands nor sits in nearly all of it.
+        simple: the clip is described as walking or running.
+        frames: number of frames, about 30 a second, with flips and impossible frames.
+        flipped, impossible: number of these frames, which ``postures`` lacks.
+        skeleton: description of the skeleton map.
+        up: up axis of the file's world, if it differs from that of the rest pose.
+        lies: the person neither stands nor sits in nearly all frames.
     """
 
     name: str
@@ -65,7 +71,7 @@ class Clip:
 
 @dataclasses.dataclass(frozen=True)
 class SkippedClip:
-    """A file that gave no postures, and why, in one line."""
+    """A file without usable postures, and the reason in one line."""
 
     name: str
     reason: str
@@ -73,12 +79,12 @@ class SkippedClip:
 
 @dataclasses.dataclass(frozen=True)
 class ClipReading:
-    """How the files of a folder are read.
+    """Settings for reading the files of a folder.
 
     Attributes:
         joints: the file's joint of each posture bone, for names that fit no scheme.
-        skeletons: ASF file by the part of an AMC file's name before the underscore, where it is not of that name.
-        up: the axis that is up in the files' worlds; by default it follows from each file (``retarget``).
+        skeletons: ASF file by subject (the part of an AMC file's name before the underscore), if it has another name.
+        up: up axis of the files' worlds; by default it is estimated from each file (``retarget``).
     """
 
     joints: Joints = dataclasses.field(default_factory=dict)
@@ -87,7 +93,7 @@ class ClipReading:
 
 
 def split_of(clip: str) -> str:
-    """The split a clip belongs to, by its name alone: about 80 % train, 10 % valid, 10 % test."""
+    """The split of a clip, a function of its name: about 80 % train, 10 % valid, 10 % test."""
     bucket = zlib.crc32(clip.encode()) % 10
     return "test" if bucket == 0 else "valid" if bucket == 1 else "train"
 
@@ -131,40 +137,39 @@ def _postures(
         raise InputError(f"{path}: {error}") from None
 
 
-def _ends_possible(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n 20 3"]:
-    """The postures, hands, feet and heads that are turned farther than any can be laid along their parents: one twisted
-    marker says nothing against the rest of a body."""
-    ends = beyond_limits(postures)
-    kept = np.ones_like(ends)
-    kept[:, _ENDS] = ~ends[:, _ENDS]
-    return np.where(kept[..., None], postures, np.float32(0))
+def _reset_impossible_ends(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n 20 3"]:
+    """The postures with hands, feet and heads beyond the limits at rest: one wrong marker does not spoil a frame."""
+    is_beyond = beyond_limits(postures)
+    is_kept = np.ones_like(is_beyond)
+    is_kept[:, _END_BONES] = ~is_beyond[:, _END_BONES]
+    return np.where(is_kept[..., None], postures, np.float32(0))
 
 
-def _unflipped(postures: Float[ndarray, "n 20 3"], frame_time: float) -> Bool[ndarray, "n"]:
-    """Frames more than a few frames away from a flip of any bone. Heads, hands and feet that were laid along their
-    parents do not count where they begin and end to be."""
+def _away_from_flips(postures: Float[ndarray, "n 20 3"], frame_time: float) -> Bool[ndarray, "n"]:
+    """Frames more than a few frames away from a flip of any bone. Changes to and from the rest rotation of
+    :func:`_reset_impossible_ends` do not count as flips."""
     n, bones = postures.shape[:2]
-    keep = np.ones(n, dtype=bool)
+    is_steady = np.ones(n, dtype=bool)
     if n < 2:
-        return keep
-    flat = Rotation.from_rotvec(postures.reshape(-1, 3))
-    speed = (flat[:-bones].inv() * flat[bones:]).magnitude().reshape(n - 1, bones) / frame_time
-    laid = np.asarray(~postures.any(2))
-    speed[laid[1:] != laid[:-1]] = 0
-    beside = np.pad(speed, ((1, 1), (0, 0)))
-    others = np.maximum(beside[:-2], beside[2:])
-    flips = (speed > _FLIP_RAD_PER_S) & (speed > _SUDDEN * others) | (speed > _FASTEST_RAD_PER_S)
+        return is_steady
+    rotations = Rotation.from_rotvec(postures.reshape(-1, 3))
+    speed = (rotations[:-bones].inv() * rotations[bones:]).magnitude().reshape(n - 1, bones) / frame_time
+    is_reset = np.asarray(~postures.any(2))
+    speed[is_reset[1:] != is_reset[:-1]] = 0
+    padded = np.pad(speed, ((1, 1), (0, 0)))
+    neighbours = np.maximum(padded[:-2], padded[2:])
+    flips = (speed > _FLIP_RAD_PER_S) & (speed > _FLIP_RATIO * neighbours) | (speed > _FASTEST_RAD_PER_S)
     for frame in np.flatnonzero(flips.any(1)):
-        keep[max(frame - 2, 0) : frame + 4] = False
-    return keep
+        is_steady[max(frame - 2, 0) : frame + 4] = False
+    return is_steady
 
 
 @dataclasses.dataclass(frozen=True)
 class ClipFolder:
-    """The clips of a folder, to be read one by one.
+    """The clips of a folder, read one by one.
 
-    ``manifest.csv`` (columns file, description and, if wanted, fps), where there is one, marks the clips of walking
-    or running, and gives the rate of AMC files, which do not hold it (120 otherwise).
+    An optional ``manifest.csv`` (columns file, description and optionally fps) marks the clips of walking or running,
+    and gives the frame rate of AMC files, which they do not store (120 by default).
     """
 
     directory: Path
@@ -175,12 +180,12 @@ class ClipFolder:
 
     @classmethod
     def open(cls, directory: Path, reading: ClipReading | None = None) -> ClipFolder:
-        """The folder's list of clips, by name.
+        """List the clips of a folder by name.
 
         Raises:
             InputError: no directory, no clip in it, or a manifest without these columns.
         """
-        # Of two files of one clip the BVH comes first: it needs no other file.
+        # A clip's BVH file is sorted before its AMC file: it needs no other file.
         if not directory.is_dir():
             raise InputError(f"{directory} is not a folder; give one of motion capture clips")
         files = [path for suffix in _SUFFIXES for path in directory.glob(f"*{suffix}")]
@@ -207,11 +212,11 @@ class ClipFolder:
         return len(self.files)
 
     def read(self, anny_rest: dict[str, Float[ndarray, "3"]]) -> Iterator[Clip | SkippedClip]:
-        """Every clip at about 30 postures a second, or why there is none. Bounded memory: one clip at a time."""
+        """Every clip at about 30 postures a second, or the reason for skipping it; one clip at a time is in memory."""
         skeletons: dict[Path, AsfSkeleton] = {}
-        names: set[str] = set()
+        stems: set[str] = set()
         for path in self.files:
-            if path.stem in names:
+            if path.stem in stems:
                 yield SkippedClip(path.name, "a clip of this name was read from a .bvh file")
                 continue
             try:
@@ -220,21 +225,21 @@ class ClipFolder:
             except InputError as error:
                 yield SkippedClip(path.name, str(error).removeprefix(f"{path} ").removeprefix(f"{path}: "))
                 continue
-            names.add(path.stem)
-            postures = _ends_possible(postures)
-            steady = _unflipped(postures, motion.frame_time_s)
-            possible = within_limits(postures)
+            stems.add(path.stem)
+            postures = _reset_impossible_ends(postures)
+            is_steady = _away_from_flips(postures, motion.frame_time_s)
+            is_possible = within_limits(postures)
             yield Clip(
                 path.stem,
-                postures[steady & possible],
-                _SIMPLE.search(self.descriptions.get(path.name, "")) is not None,
+                postures[is_steady & is_possible],
+                _SIMPLE_PATTERN.search(self.descriptions.get(path.name, "")) is not None,
                 split_of(path.stem),
                 len(postures),
-                int((~steady).sum()),
-                int((steady & ~possible).sum()),
+                int((~is_steady).sum()),
+                int((is_steady & ~is_possible).sum()),
                 skeleton,
                 up,
-                bool((_upright(postures) < _LYING).mean() > _MOSTLY),
+                bool((_upright(postures) < _LYING_COSINE).mean() > _LYING_SHARE),
             )
 
     def _motion(self, path: Path, skeletons: dict[Path, AsfSkeleton]) -> Motion:
@@ -250,7 +255,7 @@ class ClipFolder:
 
 
 def _upright(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n"]:
-    """How upright each pelvis is: the cosine between its axis and the vertical."""
+    """Cosine between the axis of each pelvis and the vertical."""
     return Rotation.from_rotvec(postures[:, POSTURE_INDEX["pelvis"]]).as_matrix()[:, 2, 2]
 
 
@@ -272,5 +277,5 @@ def check_any_read(directory: Path, read: int, skipped: Sequence[SkippedClip]) -
 
 
 def without_heading(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n 20 3"]:
-    """The postures turned about the vertical so that every pelvis faces −Y."""
+    """The postures rotated about the vertical so that every pelvis faces −Y."""
     return turn_posture(postures, -heading(postures))

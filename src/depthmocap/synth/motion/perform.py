@@ -1,7 +1,7 @@
-"""A body performs a score: trunk and arms are given as angles over time, the feet as a list of steps.
+"""Procedural motion: a score of joint angles over time for trunk and arms, and a list of steps for the feet.
 
-Feet that carry the body are nailed to the floor: the legs follow from the pelvis and the ankles by two-bone inverse
-kinematics, so that nothing slides or floats whatever the build of the body is. All curves are continuous in velocity.
+Standing feet do not move. The legs follow from pelvis and ankles by two-bone inverse kinematics, so that bodies of all
+builds neither slide nor float. All curves are continuous in velocity.
 """
 
 from __future__ import annotations
@@ -23,33 +23,36 @@ from depthmocap.synth.body.mesh import REST_POSTURE
 from depthmocap.synth.people.garments import DressedBody
 from depthmocap.synth.render import PosedPerson
 
-_SIDES = {"L": 1.0, "R": -1.0}  # the side's sign along +X
+#: Sign of each side along +X.
+_SIDES = {"L": 1.0, "R": -1.0}
 _FORWARD = np.array([0.0, -1.0, 0.0])
 _DOWN = np.array([0.0, 0.0, -1.0])
-#: Legs are never straighter than this share of their length: the knee would snap, and standing knees are soft.
-_REACH = 0.996
-#: Half the distance between the ankles of a relaxed stance (leg lengths), and how far the toes point out.
-_STANCE, _TOES_OUT_DEG = 0.125, 7.0
-#: Softness (leg lengths) of the limit that the legs put on the pelvis's height.
-_SOFT = 0.004
+#: Largest reach of a leg as a share of its length: a straight knee would snap, and people stand with soft knees.
+_LARGEST_REACH = 0.996
+#: Half the distance between the ankles of a relaxed stance (leg lengths).
+_STANCE = 0.125
+#: Outward angle of the toes (degrees).
+_TOES_OUT_DEG = 7.0
+#: Softness of the limit of the pelvis's height (leg lengths).
+_SOFTNESS = 0.004
 
-#: Angles (degrees) and shares of the leg length at times (s). Bending forward, lifting the arms and flexing are
-#: positive, and so is what goes to the person's left.
+#: Keys of each channel: time (s) and angle (degrees) or share of the leg length. Bending forward, lifting the arms,
+#: flexing and motion to the person's left are positive.
 Score: TypeAlias = Mapping[str, Sequence[tuple[float | int, float | int]]]
-#: Where a body stands, x, y (leg lengths), and its heading (degrees), 0 facing −Y.
+#: Position x, y of a standing body (leg lengths) and its heading (degrees), 0 facing −Y.
 Stance: TypeAlias = tuple[float, float, float]
 
 
 @dataclasses.dataclass(frozen=True)
 class Step:
-    """One foot's way through the air to another place on the floor.
+    """One step of a foot.
 
     Attributes:
-        place: x, y of the ankle where it lands (leg lengths), in the world.
-        yaw_deg: heading of the foot where it lands, the toes' outward angle not counted.
-        detour: x (outwards), y (backwards), z by which the path leaves the straight line, in the foot's heading.
-        toes_deg: how far the toes point down on the way.
-        weight: share of the weight that the other foot takes over.
+        place: x, y of the ankle after the step (leg lengths), in the world.
+        yaw_deg: heading of the foot after the step, without the toes' outward angle.
+        detour: largest deviation from the straight line: outwards, backwards, upwards (leg lengths).
+        toes_deg: largest downward pitch of the toes.
+        weight: share of the weight that moves to the other foot.
     """
 
     side: str
@@ -63,7 +66,7 @@ class Step:
 
 
 def stand(side: str, x: float, y: float, yaw_deg: float = 0.0) -> tuple[float, float]:
-    """Where a foot stands when the middle of a body with this heading is over a place."""
+    """Position of a foot of a body that stands at x, y (leg lengths) with this heading."""
     yaw, half = np.deg2rad(yaw_deg), _SIDES[side] * _STANCE
     return float(x + half * np.cos(yaw)), float(y + half * np.sin(yaw))
 
@@ -78,7 +81,7 @@ class Motion:
 
 
 def leg_length(dressed: DressedBody) -> float:
-    """Thigh and shin together (metres): what scores measure lengths in."""
+    """Length of thigh and shin together (metres): the unit of lengths in scores."""
     return sum(_leg_bones(dressed))
 
 
@@ -95,13 +98,14 @@ def _leg_bones(dressed: DressedBody) -> tuple[float, float]:
 def perform(
     dressed: DressedBody, times_s: Float[ndarray, " n"], score: Score, steps: Sequence[Step], start: Stance
 ) -> Motion:
-    """The motion at any times (s); before the first and after the last step the body stands. The feet are placed with
-    the bones of this body, the soles of its shoes on the floor.
+    """The motion at any times (s); the body stands before the first and after the last step. The soles of the shoes
+    stand on the floor.
 
     Args:
-        score: of drop, back, lean, bend, sway, twist, nod, look; out, forward, inward, elbow of both sides (.L, .R).
-        steps: each foot's in order of time.
-        start: where the body stands at first.
+        score: channels drop, back, lean, bend, sway, twist, nod, look; out, forward, inward, elbow of both sides
+            (.L, .R).
+        steps: in order of time for each foot.
+        start: stance before the first step.
     """
     body = dressed.body
     rest = dict(zip(JOINT_INDEX, body.rest_heads[body.model.joint_bones], strict=True))
@@ -109,7 +113,7 @@ def perform(
     thigh, shin = _leg_bones(dressed)
     leg = thigh + shin
     channels = _channels(times_s, score)
-    feet = {side: _walk(side, steps, start, times_s) for side in _SIDES}
+    feet = {side: _foot_motion(side, steps, start, times_s) for side in _SIDES}
     heading = (feet["L"].yaw + feet["R"].yaw) / 2
 
     world = np.tile(np.eye(3), (len(times_s), len(POSTURE_INDEX), 1, 1))
@@ -117,10 +121,10 @@ def perform(
     for side in _SIDES:
         _pose_arm(world, channels, side, rest)
 
-    # The pelvis is over the feet, as far as they carry, and as high as the legs let it be.
+    # The pelvis is above the feet, weighted by their loads, and as high as the legs allow.
     loads = feet["L"].load + feet["R"].load
     support = sum(foot.place * foot.load[:, None] for foot in feet.values()) / loads[:, None] * leg
-    upright = _turns("z", heading)
+    upright = _rotations("z", heading)
     ankles_rest = (rest["LFoot"] + rest["RFoot"]) / 2
     shift = np.zeros((len(times_s), 3)) + (rest["Hip"] - ankles_rest)
     shift[:, 1] += channels["back"] * leg
@@ -131,26 +135,26 @@ def perform(
     limits = [rest["Hip"][2] - floor - channels["drop"] * leg]
     for side in _SIDES:
         across = np.linalg.norm((pelvis + hips[side] - ankles[side])[:, :2], axis=1)
-        height = np.sqrt(np.maximum((_REACH * leg) ** 2 - across**2, (0.3 * leg) ** 2))
+        height = np.sqrt(np.maximum((_LARGEST_REACH * leg) ** 2 - across**2, (0.3 * leg) ** 2))
         limits.append(ankles[side][:, 2] + height - hips[side][:, 2])
-    soft = _SOFT * leg
-    pelvis[:, 2] = -soft * np.log(np.exp(-np.stack(limits) / soft).sum(0))
+    softness = _SOFTNESS * leg
+    pelvis[:, 2] = -softness * np.log(np.exp(-np.stack(limits) / softness).sum(0))
 
     for side, foot in feet.items():
-        outward = foot.yaw + np.deg2rad(_SIDES[side] * _TOES_OUT_DEG)
-        knees = np.einsum("nij,j->ni", _turns("z", 0.6 * outward + 0.4 * heading), _FORWARD)
+        foot_yaw = foot.yaw + np.deg2rad(_SIDES[side] * _TOES_OUT_DEG)
+        knees = np.einsum("nij,j->ni", _rotations("z", 0.6 * foot_yaw + 0.4 * heading), _FORWARD)
         reach = ankles[side] - pelvis - hips[side]
         thigh_to, shin_to = _bend_leg(reach, knees, thigh, shin)
         hinge = np.cross(knees, reach)
         for bone, (a, b), direction in (("thigh", ("Hip", "Knee"), thigh_to), ("shin", ("Knee", "Foot"), shin_to)):
-            at_rest = _limb_frame(rest[f"{side}{b}"] - rest[f"{side}{a}"], np.array([1.0, 0.0, 0.0]))
-            world[:, POSTURE_INDEX[f"{bone}.{side}"]] = _limb_frame(direction, hinge) @ at_rest.T
-        world[:, POSTURE_INDEX[f"foot.{side}"]] = _turns("z", outward) @ _turns("x", foot.pitch)
+            rest_frame = _limb_frame(rest[f"{side}{b}"] - rest[f"{side}{a}"], np.array([1.0, 0.0, 0.0]))
+            world[:, POSTURE_INDEX[f"{bone}.{side}"]] = _limb_frame(direction, hinge) @ rest_frame.T
+        world[:, POSTURE_INDEX[f"foot.{side}"]] = _rotations("z", foot_yaw) @ _rotations("x", foot.pitch)
     return Motion(times_s, local_rotations(world), pelvis - rest["Hip"])
 
 
 def pose_sequence(dressed: DressedBody, motion: Motion) -> Iterator[PosedPerson]:
-    """The person in every posture of a motion, where they then are, on the floor z = 0."""
+    """The person in every posture of a motion, at its position on the floor z = 0."""
     for posture, offset in zip(motion.postures, motion.offsets, strict=True):
         yield dressed.pose(posture).moved(np.eye(3), offset)
 
@@ -158,16 +162,16 @@ def pose_sequence(dressed: DressedBody, motion: Motion) -> Iterator[PosedPerson]
 def _channels(times_s: Float[ndarray, " n"], score: Score) -> dict[str, Float[ndarray, " n"]]:
     channels: dict[str, ndarray] = {}
     for name, keys in score.items():
-        at, values = np.array(keys, dtype=float).T
-        clamped = np.clip(times_s, at[0], at[-1])
-        # Pchip never overshoots, and stands still at the keys where a curve turns back: eased in and out.
-        channels[name] = PchipInterpolator(np.r_[at[0] - 1, at, at[-1] + 1], np.r_[values[0], values, values[-1]])(
-            clamped
-        )
+        key_times, values = np.array(keys, dtype=float).T
+        clamped = np.clip(times_s, key_times[0], key_times[-1])
+        # PCHIP does not overshoot, and its velocity is 0 at turning points.
+        channels[name] = PchipInterpolator(
+            np.r_[key_times[0] - 1, key_times, key_times[-1] + 1], np.r_[values[0], values, values[-1]]
+        )(clamped)
     return channels
 
 
-def _ease(s: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
+def smoothstep(s: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
     s = np.clip(s, 0, 1)
     return s * s * (3 - 2 * s)
 
@@ -178,7 +182,7 @@ def _bump(s: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
 
 @dataclasses.dataclass(eq=False)
 class _Foot:
-    """An ankle's place over the floor (leg lengths), heading, pitch (radians, toes down) and load 0–1 over time."""
+    """A foot over time: position of the ankle (leg lengths), heading, pitch (radians, toes down) and load (0–1)."""
 
     place: Float[ndarray, "n 3"]
     yaw: Float[ndarray, " n"]
@@ -186,31 +190,31 @@ class _Foot:
     load: Float[ndarray, " n"]
 
 
-def _walk(side: str, steps: Sequence[Step], start: Stance, times_s: Float[ndarray, " n"]) -> _Foot:
-    here, yaw_deg = np.array([*stand(side, *start), 0.0]), start[2]
+def _foot_motion(side: str, steps: Sequence[Step], start: Stance, times_s: Float[ndarray, " n"]) -> _Foot:
+    position, yaw_deg = np.array([*stand(side, *start), 0.0]), start[2]
     zero = np.zeros(len(times_s))
-    foot = _Foot(np.tile(here, (len(times_s), 1)), zero + np.deg2rad(yaw_deg), zero.copy(), zero + 1)
+    foot = _Foot(np.tile(position, (len(times_s), 1)), zero + np.deg2rad(yaw_deg), zero.copy(), zero + 1)
     for step in (step for step in steps if step.side == side):
         s = (times_s - step.start_s) / (step.end_s - step.start_s)
-        there = np.array([*step.place, 0.0])
+        target = np.array([*step.place, 0.0])
         turn = np.deg2rad(step.yaw_deg - yaw_deg)
-        foot.yaw += turn * _ease(s)
+        foot.yaw += turn * smoothstep(s)
         x, y, z = step.detour
         detour = Rotation.from_rotvec([0, 0, np.deg2rad(step.yaw_deg)]).apply([_SIDES[side] * x, y, z])
-        foot.place += (there - here) * _ease(s)[:, None] + detour * _bump(s)[:, None]
+        foot.place += (target - position) * smoothstep(s)[:, None] + detour * _bump(s)[:, None]
         foot.pitch += np.deg2rad(step.toes_deg) * _bump(s)
-        # The weight goes over to the other foot before this one is lifted.
+        # The weight moves to the other foot before this one is lifted.
         foot.load *= 1 - step.weight * _bump((s + 0.25) / 1.5)
-        here, yaw_deg = there, step.yaw_deg
+        position, yaw_deg = target, step.yaw_deg
     return foot
 
 
-def _turns(axis: str, angles: Float[ndarray, " n"]) -> Float[ndarray, "n 3 3"]:
+def _rotations(axis: str, angles: Float[ndarray, " n"]) -> Float[ndarray, "n 3 3"]:
     return Rotation.from_euler(axis, angles[:, None]).as_matrix()
 
 
 def _limb_frame(direction: Float[ndarray, "*n 3"], hinge: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3 3"]:
-    """Orthonormal frame of a bone's direction and, as nearly as possible, its hinge."""
+    """Orthonormal frame of a bone's direction and the component of its hinge axis perpendicular to it."""
     d = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
     side = np.cross(d, hinge)
     side = side / np.linalg.norm(side, axis=-1, keepdims=True)
@@ -223,7 +227,7 @@ def _pose_trunk(
     lean, bend, sway, twist, nod, look = (
         np.deg2rad(channels[name]) for name in ("lean", "bend", "sway", "twist", "nod", "look")
     )
-    world[:, POSTURE_INDEX["pelvis"]] = _turns("z", heading) @ _turns("x", lean)
+    world[:, POSTURE_INDEX["pelvis"]] = _rotations("z", heading) @ _rotations("x", lean)
     parent = "pelvis"
     for bone, flexion, turn in (
         ("spine_low", bend / 3, twist / 3),
@@ -232,9 +236,9 @@ def _pose_trunk(
         ("neck", nod / 2, look / 2),
         ("head", nod / 2, look / 2),
     ):
-        local = _turns("z", turn) @ _turns("x", flexion)
+        local = _rotations("z", turn) @ _rotations("x", flexion)
         if bone.startswith("spine"):
-            local = local @ _turns("y", sway / 3)
+            local = local @ _rotations("y", sway / 3)
         world[:, POSTURE_INDEX[bone]] = world[:, POSTURE_INDEX[parent]] @ local
         parent = bone
 
@@ -252,13 +256,13 @@ def _pose_arm(
     chest = world[:, POSTURE_INDEX["spine_up"]]
     upper = rest[f"{side}Elbow"] - rest[f"{side}Shoulder"]
     hanging = rotation_between(upper, _DOWN)
-    # Above the shoulder, a third of an arm's rise is the shoulder blade's; below, hardly any.
+    # Scapulohumeral rhythm: above the shoulder the clavicle takes a third of an arm's elevation; below, hardly any.
     raised = np.maximum(out, forward)
-    rise = 0.16 * raised * _ease(raised / np.pi * 1.5)
-    world[:, POSTURE_INDEX[f"clavicle.{side}"]] = chest @ _turns("y", -sign * rise)
-    arm = chest @ _turns("x", -forward) @ _turns("y", -sign * out) @ _turns("z", -sign * inward) @ hanging
+    rise = 0.16 * raised * smoothstep(raised / np.pi * 1.5)
+    world[:, POSTURE_INDEX[f"clavicle.{side}"]] = chest @ _rotations("y", -sign * rise)
+    arm = chest @ _rotations("x", -forward) @ _rotations("y", -sign * out) @ _rotations("z", -sign * inward) @ hanging
     fore = rest[f"{side}Hand"] - rest[f"{side}Elbow"]
-    hinge = np.cross(upper, fore)  # the elbow is bent at rest
+    hinge = np.cross(upper, fore)  # the elbow is bent in the rest pose
     at_rest = np.arctan2(np.linalg.norm(hinge), upper @ fore)
     flexion = Rotation.from_rotvec((elbow - at_rest)[:, None] * hinge / np.linalg.norm(hinge)).as_matrix()
     world[:, POSTURE_INDEX[f"upper_arm.{side}"]] = arm
@@ -269,7 +273,7 @@ def _pose_arm(
 def _bend_leg(
     reach: Float[ndarray, "n 3"], knees: Float[ndarray, "n 3"], thigh: float, shin: float
 ) -> tuple[Float[ndarray, "n 3"], Float[ndarray, "n 3"]]:
-    """Directions (not unit) of thigh and shin that span ``reach``, the knee towards ``knees``."""
+    """Two-bone inverse kinematics: vectors of thigh and shin that span ``reach``, with the knee towards ``knees``."""
     length = np.linalg.norm(reach, axis=1, keepdims=True)
     along = reach / length
     front = knees - (knees * along).sum(1, keepdims=True) * along

@@ -1,4 +1,4 @@
-"""``depthmocap postures build``: the most dissimilar postures of a folder of clips; made-up ones fill it up."""
+"""``depthmocap postures build``: a pool of the most dissimilar postures of clips, filled up with synthetic ones."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from depthmocap.synth.motion.mocap import SPLITS, Clip, ClipFolder, ClipReading,
 from depthmocap.synth.motion.pool import KINDS, PosturePool
 from depthmocap.synth.motion.postures import UPPER_BONES, anny_rest
 
-#: Candidates per posture of the pool; farthest-point sampling of them makes the pool.
-_CANDIDATES = 3
-#: Number of made-up postures that are tried at a time.
+#: Number of candidates per posture of the pool, from which farthest-point sampling selects.
+_CANDIDATES_PER_POSTURE = 3
+#: Number of synthetic postures in a batch.
 _BATCH = 4096
-#: Filling ends when less than this share of them is distinct.
-_FEWEST = 0.01
+#: Share of distinct postures in a batch below which filling ends.
+_LEAST_DISTINCT_SHARE = 0.01
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,8 +99,8 @@ class _Quota:
 
 @locks_outputs(files=("out",))
 def build_pool(settings: PoolBuild) -> PosturePool:
-    """Read the clips one by one, select, fill, write the pool and print a summary. Memory grows with the number of
-    postures (about 1.5 kB each), not with that of the clips.
+    """Read the clips one by one, select, fill, write the pool and print a summary. Memory depends on the number of
+    postures (about 1.5 kB each), not on that of the clips.
 
     Raises:
         InputError: no readable clip, a bad mapping or manifest, or a file that cannot be written.
@@ -110,7 +110,7 @@ def build_pool(settings: PoolBuild) -> PosturePool:
     folder = ClipFolder.open(settings.clips, ClipReading(joints, settings.skeletons, settings.up))
     check_outputs({"--out": settings.out})
     quotas = [_Quota(round(settings.count * share), round(settings.easy * share)) for share in settings.shares]
-    covers = [Cover(settings.spacing_m, max(1000, _CANDIDATES * quota.count)) for quota in quotas]
+    covers = [Cover(settings.spacing_m, max(1000, _CANDIDATES_PER_POSTURE * quota.count)) for quota in quotas]
     rng = np.random.default_rng(settings.seed)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console) as progress:
@@ -123,17 +123,17 @@ def build_pool(settings: PoolBuild) -> PosturePool:
             def show(picked: int, before: int = done) -> None:
                 progress.update(task, completed=before + picked)
 
-            chosen, stops[split] = _pick(cover, quota, settings, rng, show)
-            parts.append((cover.postures[chosen].copy(), cover.tags[chosen].copy()))
-            done += len(chosen)
+            selected, stops[split] = _select(cover, quota, settings, rng, show)
+            parts.append((cover.postures[selected].copy(), cover.tags[selected].copy()))
+            done += len(selected)
             progress.update(task, completed=done)
     tags = np.concatenate([tags for _, tags in parts])
-    clips, simple, kinds = _untag(tags)
+    clips, simple, kinds = _unpack_tag(tags)
     splits = np.repeat(np.arange(len(SPLITS)), [len(tags) for _, tags in parts]).astype(np.uint8)
     postures = np.concatenate([postures for postures, _ in parts])
     report = _report(settings, read, skipped, stops)
     pool = PosturePool(postures, clips, splits, simple, kinds, tuple(clip.name for clip in read), report)
-    report["counts"] = counts_of(pool)
+    report["counts"] = count_by_split(pool)
     pool.save(settings.out)
     _print_report(console, pool, settings)
     return pool
@@ -142,14 +142,14 @@ def build_pool(settings: PoolBuild) -> PosturePool:
 def _read_clips(
     clips: Iterable[Clip | SkippedClip], count: int, covers: Sequence[Cover], progress: Progress
 ) -> tuple[list[Clip], list[SkippedClip]]:
-    """Add the postures of all clips to the cover of their split; returns the clips, without postures."""
+    """Add the postures of all clips to the covers of their splits; returns the clips without their postures."""
     read: list[Clip] = []
     skipped: list[SkippedClip] = []
     task = progress.add_task("reading clips", total=count)
     for clip in clips:
         if isinstance(clip, Clip):
             split = SPLITS.index(clip.split)
-            covers[split].add(clip.postures, np.full(len(clip.postures), _tag(len(read), clip.simple, 0)))
+            covers[split].add(clip.postures, np.full(len(clip.postures), _pack_tag(len(read), clip.simple, 0)))
             read.append(dataclasses.replace(clip, postures=clip.postures[:0]))
         else:
             skipped.append(clip)
@@ -160,7 +160,7 @@ def _read_clips(
 def _report(
     settings: PoolBuild, read: Sequence[Clip], skipped: Sequence[SkippedClip], distances_m: dict[str, dict[str, float]]
 ) -> dict[str, Any]:
-    """What the pool's file tells about how it was made."""
+    """The report that the pool's file holds."""
     return {
         "settings": plain_settings(settings),
         "clips_read": len(read),
@@ -175,20 +175,20 @@ def _report(
     }
 
 
-def _tag(clip: int, simple: bool, kind: int) -> int:
-    """Clip, simple and kind of a posture in one number."""
+def _pack_tag(clip: int, simple: bool, kind: int) -> int:
+    """Clip, ``simple`` and kind of a posture in one integer."""
     return clip * 16 + int(simple) * 8 + kind
 
 
-def _untag(tags: Int[ndarray, "n"]) -> tuple[ndarray, ndarray, ndarray]:
+def _unpack_tag(tags: Int[ndarray, "n"]) -> tuple[ndarray, ndarray, ndarray]:
     return (tags // 16).astype(np.int32), tags % 16 >= 8, (tags % 8).astype(np.uint8)
 
 
-def _pick(
+def _select(
     cover: Cover, quota: _Quota, settings: PoolBuild, rng: np.random.Generator, show: Any
 ) -> tuple[Int[ndarray, "k"], dict[str, float]]:
-    """Indices of a split's postures in its cover, and distances (metres): the least distance of its candidates, and the
-    distance at which the selection stopped."""
+    """Indices of the selected postures of a split in its cover, and distances (metres): the least distance between
+    candidates, and the distance of the first posture that was not selected."""
     if not quota.count or not cover.count:
         return np.zeros(0, dtype=np.int64), {}
     distances = {"candidates": cover.radius_m, "stop": cover.radius_m}
@@ -198,28 +198,30 @@ def _pick(
         if settings.fill:
             _fill(cover, quota.count, False, settings, rng)
         return np.arange(cover.count), distances
-    simple = _untag(cover.tags)[1]
+    simple = _unpack_tag(cover.tags)[1]
     everything = np.ones(cover.count, dtype=bool)
-    chosen, stop = farthest_points(cover.ends, [(simple, quota.easy), (everything, quota.count)], show)
-    return chosen, distances | {"stop": stop}
+    selected, stop = farthest_points(cover.ends, [(simple, quota.easy), (everything, quota.count)], show)
+    return selected, distances | {"stop": stop}
 
 
 def _fill(cover: Cover, target: int, easy: bool, settings: PoolBuild, rng: np.random.Generator) -> None:
-    """Add made-up postures until there are ``target`` (easy ones, if so): mirrored as far as they go, then half of the
-    rest recombined, the legs of one and the trunk and arms of another, and the other half perturbed. All are
-    within the limits of the joints, and distinct from all others."""
-    recorded = np.flatnonzero(_eligible(cover, easy) & (_untag(cover.tags)[2] == KINDS.index("recorded")))
+    """Add synthetic postures until there are ``target`` postures (easy ones, with ``easy``).
+
+    First all mirrored postures; half of the rest are recombined (legs of one posture, trunk and arms of another), half
+    perturbed. All are within the joint limits and distinct from each other.
+    """
+    recorded = np.flatnonzero(_is_eligible(cover, easy) & (_unpack_tag(cover.tags)[2] == KINDS.index("recorded")))
     if not len(recorded):
         return
 
     def missing() -> int:
-        return target - int(_eligible(cover, easy).sum())
+        return target - int(_is_eligible(cover, easy).sum())
 
     def add(postures: ndarray, sources: ndarray, kind: str) -> int:
-        good = within_limits(postures)
-        clips, simple, _ = _untag(cover.tags[sources[good]])
+        is_valid = within_limits(postures)
+        clips, simple, _ = _unpack_tag(cover.tags[sources[is_valid]])
         tags = clips.astype(np.int64) * 16 + simple * 8 + KINDS.index(kind)
-        return cover.add(postures[good], tags, limit=cover.count + max(missing(), 0))
+        return cover.add(postures[is_valid], tags, limit=cover.count + max(missing(), 0))
 
     for rows in np.array_split(rng.permutation(recorded), max(1, len(recorded) // _BATCH)):
         if missing() > 0:
@@ -227,40 +229,42 @@ def _fill(cover: Cover, target: int, easy: bool, settings: PoolBuild, rng: np.ra
     half = missing() // 2
     while missing() > half:
         legs, arms = rng.choice(recorded, (2, _BATCH))
-        # Both halves are of the same kind, so that combinations of walking stay easy.
-        legs, arms = (rows[_untag(cover.tags[legs])[1] == _untag(cover.tags[arms])[1]] for rows in (legs, arms))
+        # Only easy postures are combined with easy ones, so that the results are easy.
+        legs, arms = (
+            rows[_unpack_tag(cover.tags[legs])[1] == _unpack_tag(cover.tags[arms])[1]] for rows in (legs, arms)
+        )
         mixed = cover.postures[legs].copy()
         mixed[:, UPPER_BONES] = cover.postures[arms][:, UPPER_BONES]
-        most = max(1, min(len(mixed), missing() - half))
-        if add(mixed[:most], legs[:most], "recombined") < _FEWEST * most:
+        batch = max(1, min(len(mixed), missing() - half))
+        if add(mixed[:batch], legs[:batch], "recombined") < _LEAST_DISTINCT_SHARE * batch:
             break
     while missing() > 0:
-        base = rng.choice(np.flatnonzero(_eligible(cover, easy)), _BATCH)
-        moved = cover.postures[base] + rng.normal(0, settings.noise_rad, (_BATCH, 20, 3)).astype(np.float32)
-        if add(moved, base, "perturbed") < _FEWEST * _BATCH:
+        base = rng.choice(np.flatnonzero(_is_eligible(cover, easy)), _BATCH)
+        perturbed = cover.postures[base] + rng.normal(0, settings.noise_rad, (_BATCH, 20, 3)).astype(np.float32)
+        if add(perturbed, base, "perturbed") < _LEAST_DISTINCT_SHARE * _BATCH:
             break
 
 
-def _eligible(cover: Cover, easy: bool) -> Bool[ndarray, "n"]:
-    return _untag(cover.tags)[1] | (not easy)
+def _is_eligible(cover: Cover, easy: bool) -> Bool[ndarray, "n"]:
+    return _unpack_tag(cover.tags)[1] | (not easy)
 
 
-def counts_of(pool: PosturePool) -> dict[str, dict[str, int]]:
-    """Postures by split: all, easy ones, and by kind."""
+def count_by_split(pool: PosturePool) -> dict[str, dict[str, int]]:
+    """Number of postures by split: all, easy ones, and by kind."""
     table = {}
     for index, split in enumerate(SPLITS):
-        mine = pool.splits == index
-        kinds = {kind: int((mine & (pool.kinds == k)).sum()) for k, kind in enumerate(KINDS)}
-        table[split] = {"postures": int(mine.sum()), "easy": int((mine & pool.simple).sum()), **kinds}
+        of_split = pool.splits == index
+        kinds = {kind: int((of_split & (pool.kinds == k)).sum()) for k, kind in enumerate(KINDS)}
+        table[split] = {"postures": int(of_split.sum()), "easy": int((of_split & pool.simple).sum()), **kinds}
     return table
 
 
-def _by_axis(up: dict[str, str]) -> dict[str, list[str]]:
+def _clips_by_axis(up: dict[str, str]) -> dict[str, list[str]]:
     return {axis: [name for name, clip_axis in up.items() if clip_axis == axis] for axis in sorted(set(up.values()))}
 
 
 def _first_names(names: list[str]) -> str:
-    """The first few of some names."""
+    """The first five names, as text."""
     return ", ".join(names[:5]) + (", …" if len(names) > 5 else "")
 
 
@@ -276,7 +280,7 @@ def _print_report(console: Console, pool: PosturePool, settings: PoolBuild) -> N
     for skeleton, clips in report["skeletons"].items():
         if skeleton.startswith("guessed"):
             console.print(f"  {clips} clips {skeleton}", soft_wrap=True)
-    for axis, names in _by_axis(report["up"]).items():
+    for axis, names in _clips_by_axis(report["up"]).items():
         console.print(
             f"  up is {axis} in {len(names)} clips, as the path of the root tells, and not as in the rest pose: "
             f"{_first_names(names)}", soft_wrap=True,

@@ -1,4 +1,4 @@
-"""Where postures come from: clips of motion capture, a pool made of them, or the packaged prior learnt from them."""
+"""Sources of postures: motion capture clips, a pool of their postures, or the packaged prior learnt from clips."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from depthmocap.synth.body.bones import (
     world_rotations,
 )
 from depthmocap.synth.body.mesh import BodyModel, Phenotype
-from depthmocap.synth.motion.beyond import Family, beyond_recorded
+from depthmocap.synth.motion.extreme_postures import Family, extreme_posture
 from depthmocap.synth.motion.limits import bone_axis
 from depthmocap.synth.motion.mocap import Clip, ClipFolder, SkippedClip, check_any_read, without_heading
 from depthmocap.synth.motion.pool import PosturePool
@@ -36,14 +36,14 @@ from depthmocap.synth.motion.touch import hands_on_body
 _LOG = logging.getLogger(__name__)
 
 _PELVIS = POSTURE_INDEX["pelvis"]
-#: The bones of each limb, which may come from another posture by themselves.
+#: Bones of each limb, which recombination takes from another posture.
 _LIMBS = [
     np.array([POSTURE_INDEX[f"{bone}.{side}"] for bone in bones])
     for bones in (("upper_arm", "forearm", "hand"), ("thigh", "shin", "foot"))
     for side in "RL"
 ]
-#: Largest number of skipped clips that are named; there may be thousands.
-_SKIPS_TOLD = 3
+#: Largest number of skipped clips in a message.
+_SKIPS_LISTED = 3
 #: Bones above the pelvis, which recombination takes from another posture.
 UPPER_BONES = np.array([i for i, name in enumerate(POSTURE_BONES) if name.partition(".")[0] not in
                    ("pelvis", "thigh", "shin", "foot")])  # fmt: skip
@@ -51,26 +51,26 @@ UPPER_BONES = np.array([i for i, name in enumerate(POSTURE_BONES) if name.partit
 
 @runtime_checkable
 class PostureSource(Protocol):
-    """Draws random postures with uniform headings; ``group`` is the clip (or component) of a posture."""
+    """Draws random postures with uniform headings, each with its group: the index of its clip or component."""
 
     def sample(self, rng: np.random.Generator) -> tuple[Float[ndarray, "20 3"], int]: ...
 
 
 @dataclasses.dataclass(frozen=True)
 class Variation:
-    """How drawn postures are varied beyond what was recorded.
+    """Random changes of sampled postures.
 
     Attributes:
         mirror: share of mirrored postures.
         recombine: share with the trunk, head and arms of another posture.
-        noise_rad: deviation of every rotation.
-        limb: share of arms and legs, each by itself, that are another posture's.
+        noise_rad: standard deviation of the noise of every rotation.
+        limb: probability of each arm and leg to come from another posture.
         tilt: share of bodies tilted as a whole, by any angle to any side: lying, falling, upside down.
         sit: share of bodies with the legs of a sitting person.
-        touch: share of bodies that lay one or both hands on themselves.
-        as_recorded: share to which nothing of all this is done but mirroring.
-        beyond: share replaced by postures that are in no recording (``motion.beyond``).
-        family: of which these are; by default of any.
+        touch: share of bodies with one or both hands on the body.
+        as_recorded: share of postures that are only mirrored.
+        beyond: share of extreme postures, which recordings lack (``motion.extreme_postures``).
+        family: of extreme postures; any by default.
     """
 
     mirror: float = 0.5
@@ -85,11 +85,11 @@ class Variation:
     family: Family | None = None
 
     def of(self, simple: bool) -> Variation:
-        """The same for people who walk and run: they keep their limbs and stand."""
+        """The variation, if ``simple`` limited to changes that suit people who walk and run."""
         return dataclasses.replace(self, limb=0.0, tilt=0.0, sit=0.0, touch=0.0, beyond=0.0) if simple else self
 
-    def of_one(self, rng: np.random.Generator) -> Variation:
-        """What is done to one posture: mirroring alone, going beyond it, or all the rest."""
+    def draw(self, rng: np.random.Generator) -> Variation:
+        """The variation of one posture: mirroring only, an extreme posture, or all other changes."""
         if not (self.as_recorded or self.beyond):
             return self
         kind = rng.random()
@@ -100,16 +100,16 @@ class Variation:
         return dataclasses.replace(self, as_recorded=0.0, beyond=0.0)
 
 
-#: For training: more postures than were recorded, beside as many as they were, which are what most people do.
+#: For training: recorded postures, which are the common ones, and more varied ones.
 TRAINING_VARIATION = Variation(
     mirror=0.5, recombine=0.25, noise_rad=0.06, limb=0.2, tilt=0.12, sit=0.12, touch=0.3, as_recorded=0.55, beyond=0.15
 )
 
 
 def joint_positions(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n 20 3"]:
-    """Ends of unit bones laid along the postures: a cheap measure of how far apart two postures are (metres).
+    """Ends of bones of typical lengths, to compare postures (metres).
 
-    Every bone is a stick of typical length, so that a difference is about that of the joints of an adult.
+    Differences are approximately those between the joints of an adult.
     """
     lengths = {"pelvis": 0.0, "spine_low": 0.12, "spine_mid": 0.12, "spine_up": 0.16, "neck": 0.1, "head": 0.2,
                "clavicle": 0.17, "upper_arm": 0.29, "forearm": 0.25, "hand": 0.15, "thigh": 0.42, "shin": 0.42,
@@ -122,20 +122,20 @@ def joint_positions(postures: Float[ndarray, "n 20 3"]) -> Float[ndarray, "n 20 
     return ends
 
 
-def thin(postures: Float[ndarray, "n 20 3"], spacing_m: float) -> Int[ndarray, "m"]:
-    """Indices of frames whose joints are all at least once ``spacing_m`` from the last frame kept."""
+def thin_frames(postures: Float[ndarray, "n 20 3"], spacing_m: float) -> Int[ndarray, "m"]:
+    """Indices of frames with a joint farther than ``spacing_m`` from that of the previous selected frame."""
     if not len(postures):
         return np.zeros(0, dtype=np.int64)
     ends = joint_positions(postures)
-    kept = [0]
+    indices = [0]
     for i in range(1, len(ends)):
-        if np.abs(ends[i] - ends[kept[-1]]).max() > spacing_m:
-            kept.append(i)
-    return np.array(kept)
+        if np.abs(ends[i] - ends[indices[-1]]).max() > spacing_m:
+            indices.append(i)
+    return np.array(indices)
 
 
 class ClipPostures:
-    """Postures of motion capture clips, headings removed, thinned to what differs by ``spacing_m``.
+    """Postures of motion capture clips without headings, thinned to a spacing of ``spacing_m``.
 
     Raises:
         InputError: when no clip is left.
@@ -144,31 +144,33 @@ class ClipPostures:
     def __init__(
         self, clips: Sequence[Clip], split: str, simple: bool, variation: Variation, spacing_m: float = 0.05
     ) -> None:
-        chosen = [clip for clip in clips if clip.split == split and (clip.simple or not simple) and len(clip.postures)]
-        if not chosen:
+        selected = [
+            clip for clip in clips if clip.split == split and (clip.simple or not simple) and len(clip.postures)
+        ]
+        if not selected:
             kind = "walking or running " if simple else ""
             raise InputError(f"no {kind}clips fall in the {split} split: give more clips or leave --postures out")
-        self.names = [clip.name for clip in chosen]
-        parts = [without_heading(clip.postures)[thin(clip.postures, spacing_m)] for clip in chosen]
+        self.names = [clip.name for clip in selected]
+        parts = [without_heading(clip.postures)[thin_frames(clip.postures, spacing_m)] for clip in selected]
         self.postures = np.concatenate(parts).astype(np.float32)
         self.groups = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
         self._variation = variation.of(simple)
 
     @classmethod
     def of_pool(cls, pool: PosturePool, split: str, simple: bool, variation: Variation) -> ClipPostures:
-        """The postures of a pool that belong to a split, as they are: they are distinct already.
+        """The postures of a split of a pool, which are already distinct.
 
         Raises:
             InputError: when there are none.
         """
-        chosen = pool.select(split, simple)
-        if not len(chosen):
+        selected = pool.select(split, simple)
+        if not len(selected):
             kind = "walking or running " if simple else ""
             raise InputError(f"the pool has no {kind}postures of the {split} split: build it from more clips")
-        clips, groups = np.unique(pool.clips[chosen], return_inverse=True)
+        clips, groups = np.unique(pool.clips[selected], return_inverse=True)
         source = cls.__new__(cls)
         source.names = [pool.clip_names[clip] for clip in clips]
-        source.postures, source.groups = pool.postures[chosen], groups
+        source.postures, source.groups = pool.postures[selected], groups
         source._variation = variation.of(simple)
         return source
 
@@ -179,7 +181,7 @@ class ClipPostures:
         """A posture with a random heading, and the index of its clip."""
         index = int(rng.integers(len(self.postures)))
         posture = self.postures[index].astype(np.float64)
-        variation = self._variation.of_one(rng)
+        variation = self._variation.draw(rng)
         if rng.random() < variation.recombine:
             posture[UPPER_BONES] = self.postures[rng.integers(len(self.postures))][UPPER_BONES]
         if variation.limb > 0:
@@ -194,7 +196,7 @@ def _vary(posture: Float[ndarray, "20 3"], variation: Variation, rng: np.random.
         posture = mirror_posture(posture)
     posture = posture + rng.normal(0, variation.noise_rad, posture.shape)
     # Each change has its own generator, so that the rest of a seed's people does not depend on it.
-    go_beyond = functools.partial(beyond_recorded, family=variation.family)
+    go_beyond = functools.partial(extreme_posture, family=variation.family)
     changes = ((variation.sit, seated), (variation.touch, hands_on_body), (variation.beyond, go_beyond))
     for share, change in changes:
         (change_rng,) = rng.spawn(1)
@@ -227,7 +229,7 @@ class PosturePrior:
 
     @classmethod
     def load(cls, path: Path | None = None, simple: bool = False, variation: Variation = Variation()) -> PosturePrior:
-        """The packaged prior, or one of the user's.
+        """The packaged prior, or that of a file.
 
         Raises:
             InputError: when the file is missing or not a prior.
@@ -244,16 +246,16 @@ class PosturePrior:
         return cls(**arrays, simple=simple, variation=variation.of(simple))
 
     def sample(self, rng: np.random.Generator) -> tuple[Float[ndarray, "20 3"], int]:
-        """A posture with a random heading, and the component it is from."""
+        """A posture with a random heading, and the index of its component."""
         weights = self.simple_weights if self.simple else self.weights
         component = int(rng.choice(len(weights), p=weights / weights.sum()))
         latent = np.clip(rng.normal(size=self.factors.shape[2]), -2.5, 2.5) * 0.8
         posture = (self.means[component] + self.factors[component] @ latent).reshape(-1, 3)
-        return _vary(posture, self.variation.of_one(rng), rng), component
+        return _vary(posture, self.variation.draw(rng), rng), component
 
 
 def anny_rest() -> dict[str, Float[ndarray, "3"]]:
-    """Head of every bone of the default body at rest, which retargeting needs."""
+    """Head of every bone of the default body in the rest pose (metres), for retargeting."""
     model = BodyModel.load()
     return dict(zip(model.bone_names, model.shape(Phenotype()).rest_heads, strict=True))
 
@@ -278,8 +280,8 @@ def load_clips(directory: Path) -> list[Clip]:
             directory,
             len(skipped),
             len(skipped) + len(clips),
-            "; ".join(f"{clip.name}: {clip.reason}" for clip in skipped[:_SKIPS_TOLD]),
-            "; …; depthmocap postures build tells all" if len(skipped) > _SKIPS_TOLD else "",
+            "; ".join(f"{clip.name}: {clip.reason}" for clip in skipped[:_SKIPS_LISTED]),
+            "; …; depthmocap postures build tells all" if len(skipped) > _SKIPS_LISTED else "",
         )
     return clips
 
@@ -287,7 +289,7 @@ def load_clips(directory: Path) -> list[Clip]:
 def posture_source(
     postures: Path | None, split: str, simple: bool = False, variation: Variation = Variation()
 ) -> ClipPostures | PosturePrior:
-    """Postures of a pool file or of a folder of clips where one is given, else of the packaged prior.
+    """Postures of a pool file or of a folder of clips; without either, of the packaged prior.
 
     Raises:
         InputError: a folder without readable clips, a file that is no pool, or no posture of the split.

@@ -16,7 +16,7 @@ from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError
 from depthmocap.synth.body.bones import mirror_posture
 from depthmocap.synth.motion.mocap import Clip, without_heading
-from depthmocap.synth.motion.postures import load_clips, thin
+from depthmocap.synth.motion.postures import load_clips, thin_frames
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,9 +66,9 @@ def fit_prior(clips: Sequence[Clip], settings: PriorTraining) -> None:
     train = [clip for clip in clips if clip.split == "train" and len(clip.postures)]
     if not train:
         raise InputError(f"{settings.postures}: no clip falls in the train split; give more clips")
-    kept = [thin(clip.postures, 0.07) for clip in train]
-    postures = np.concatenate([without_heading(c.postures)[k] for c, k in zip(train, kept, strict=True)])
-    simple = np.concatenate([np.full(len(k), c.simple) for c, k in zip(train, kept, strict=True)])
+    frames = [thin_frames(clip.postures, 0.07) for clip in train]
+    postures = np.concatenate([without_heading(c.postures)[k] for c, k in zip(train, frames, strict=True)])
+    simple = np.concatenate([np.full(len(k), c.simple) for c, k in zip(train, frames, strict=True)])
     data = np.concatenate([postures, mirror_posture(postures)]).reshape(-1, postures.shape[1] * 3)
     if len(data) < settings.components:
         raise InputError(
@@ -78,7 +78,7 @@ def fit_prior(clips: Sequence[Clip], settings: PriorTraining) -> None:
         settings.components, covariance_type="full", reg_covar=1e-3, random_state=settings.seed, max_iter=60
     )
     mixture.fit(data)
-    # Without a manifest no clip is known to be walking; then easy draws from all components.
+    # Without a manifest no clip is marked as walking; then easy postures use all components.
     walking = data[np.concatenate([simple, simple])]
     simple_weights = mixture.predict_proba(walking).mean(0) if len(walking) else np.asarray(mixture.weights_)
     values, vectors = np.linalg.eigh(np.asarray(mixture.covariances_))

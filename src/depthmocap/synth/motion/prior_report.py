@@ -1,4 +1,4 @@
-"""``depthmocap postures report``: how near the prior's samples are to held-out postures, and how plausible."""
+"""``depthmocap postures report``: distances between the prior's samples and held-out postures, and plausibility."""
 
 from __future__ import annotations
 
@@ -30,14 +30,21 @@ from depthmocap.synth.motion.postures import (
     load_clips,
 )
 
+#: Quantiles of distances in the report.
 _QUANTILES = (0.1, 0.5, 0.9)
-#: Bones of the trunk, and half its depth; the middle of the head from its joint, and its radius (metres; our choice,
-#: less than the default body's, so that touching is no penetration).
-_TRUNK, _TRUNK_RADIUS_M = ("root", "spine01"), 0.08
-_HEAD_CENTRE_M, _HEAD_RADIUS_M = 0.09, 0.07
+#: Bones at the ends of the trunk's capsule.
+_TRUNK_BONES = ("root", "spine01")
+#: Radius of the trunk's capsule. It and the next two are less than the default body's, so that contact does not count
+#: as penetration (metres; our choice).
+_TRUNK_RADIUS_M = 0.08
+#: Radius of the head.
+_HEAD_RADIUS_M = 0.07
+#: Radius of a leg's capsules.
 _LEG_RADIUS_M = 0.04
-#: What may not be inside them: elbows, wrists, knuckles, knees and ankles.
-_TIPS = ("lowerarm01", "wrist", "finger3-1", "foot")
+#: Distance from the head's joint to its centre (metres).
+_HEAD_CENTRE_M = 0.09
+#: Joints that must not penetrate: elbows, wrists, knuckles and ankles.
+_TIP_BONES = ("lowerarm01", "wrist", "finger3-1", "foot")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,8 +74,8 @@ class PostureReport:
 
 @locks_outputs(files=("json",))
 def report_postures(settings: PostureReport) -> dict[str, Any]:
-    """Compare the prior, training clips, and training clips as they are varied for training, with held-out clips:
-    distances to the nearest, both ways, and plausibility. Prints a table; returns (and writes) the numbers.
+    """Compare the prior, training clips, and training clips with variation to held-out clips: nearest distances in both
+    directions, and plausibility. Prints a table; returns (and writes) the numbers.
 
     Raises:
         InputError: no readable clips, none held out or none for training, or a bad prior.
@@ -89,7 +96,7 @@ def report_postures(settings: PostureReport) -> dict[str, Any]:
 
 
 def compare_sources(clips: list[Clip], simple: bool, settings: PostureReport) -> dict[str, dict[str, Any]]:
-    """The numbers of one table, by source: quantiles of distances (metres), and shares."""
+    """Quantiles of distances (metres) and shares of one table, by source."""
     as_recorded = Variation(mirror=0.5)
     rng = np.random.default_rng(settings.seed)
     held_out = np.concatenate(
@@ -103,15 +110,15 @@ def compare_sources(clips: list[Clip], simple: bool, settings: PostureReport) ->
     held_out_ends = joint_positions(held_out).astype(np.float32)
     rows: dict[str, dict[str, Any]] = {}
     for name, source in sources.items():
-        drawn = np.stack([source.sample(rng)[0] for _ in range(settings.samples)])
-        ends = joint_positions(without_heading(drawn)).astype(np.float32)
+        samples_drawn = np.stack([source.sample(rng)[0] for _ in range(settings.samples)])
+        ends = joint_positions(without_heading(samples_drawn)).astype(np.float32)
         rows[name] = {
-            "to_held_out_m": _quantiles(nearest(ends, held_out_ends)),
-            "from_held_out_m": _quantiles(nearest(held_out_ends, ends)),
-            **_plausibility(drawn),
+            "to_held_out_m": _quantiles(distances_to_nearest(ends, held_out_ends)),
+            "from_held_out_m": _quantiles(distances_to_nearest(held_out_ends, ends)),
+            **_plausibility(samples_drawn),
         }
-    some = held_out[rng.permutation(len(held_out))[: settings.samples]]
-    rows["held-out clips"] = _plausibility(some)
+    subset = held_out[rng.permutation(len(held_out))[: settings.samples]]
+    rows["held-out clips"] = _plausibility(subset)
     return rows
 
 
@@ -122,8 +129,8 @@ def _held_out_splits(clips: list[Clip], simple: bool) -> list[str]:
     return sorted(splits & {"valid", "test"})
 
 
-def nearest(ends: Float[ndarray, "n 20 3"], others: Float[ndarray, "m 20 3"]) -> Float[ndarray, "n"]:
-    """Distance of every posture to the nearest of the others, in the joint that differs most (metres)."""
+def distances_to_nearest(ends: Float[ndarray, "n 20 3"], others: Float[ndarray, "m 20 3"]) -> Float[ndarray, "n"]:
+    """Distance of every posture to the nearest other one, in the joint that differs most (metres)."""
     out = np.empty(len(ends), np.float32)
     nearest_distances(ends, others, out)
     return out
@@ -139,35 +146,35 @@ def _quantiles(distances: Float[ndarray, "n"]) -> dict[str, float]:
 def _plausibility(postures: Float[ndarray, "n 20 3"]) -> dict[str, float]:
     return {
         "within_limits": round(float(within_limits(postures).mean()), 4),
-        "penetrating": round(float(penetrating(postures).mean()), 4),
+        "penetrating": round(float(is_penetrating(postures).mean()), 4),
     }
 
 
-def penetrating(postures: Float[ndarray, "n 20 3"]) -> Bool[ndarray, "n"]:
-    """Whether an elbow, wrist, knuckle or ankle of the default body is deep inside its trunk, its head or the other
-    leg, which are taken as capsules: a coarse measure, to be compared with that of recorded postures."""
+def is_penetrating(postures: Float[ndarray, "n 20 3"]) -> Bool[ndarray, "n"]:
+    """Whether an elbow, wrist, knuckle or ankle of the default body penetrates its trunk, its head or the other leg,
+    which are modelled as capsules: a coarse measure, to be compared with that of recorded postures."""
     model = BodyModel.load()
     body = model.shape(Phenotype())
     index = {name: i for i, name in enumerate(model.bone_names)}
     transforms = [body.bone_transforms(posture.astype(np.float64)) for posture in postures]
-    heads = np.stack([moved.heads for moved in transforms])
-    up = np.stack([moved.rotations[index["head"], :, 2] for moved in transforms])
-    tips = heads[:, [index[f"{tip}.{side}"] for tip in _TIPS for side in "RL"]]
-    trunk = _to_segment(tips, heads[:, index[_TRUNK[0]]], heads[:, index[_TRUNK[1]]])
+    heads = np.stack([transform.heads for transform in transforms])
+    up = np.stack([transform.rotations[index["head"], :, 2] for transform in transforms])
+    tips = heads[:, [index[f"{tip}.{side}"] for tip in _TIP_BONES for side in "RL"]]
+    trunk = _distances_to_segment(tips, heads[:, index[_TRUNK_BONES[0]]], heads[:, index[_TRUNK_BONES[1]]])
     skull = np.linalg.norm(tips - (heads[:, index["head"]] + _HEAD_CENTRE_M * up)[:, None], axis=-1)
     inside = (trunk < _TRUNK_RADIUS_M).any(1) | (skull < _HEAD_RADIUS_M).any(1)
     for side, other in ("RL", "LR"):
         ankle = heads[:, [index[f"foot.{side}"]]]
         for start, end in (("upperleg01", "lowerleg01"), ("lowerleg01", "foot")):
-            leg = _to_segment(ankle, heads[:, index[f"{start}.{other}"]], heads[:, index[f"{end}.{other}"]])
+            leg = _distances_to_segment(ankle, heads[:, index[f"{start}.{other}"]], heads[:, index[f"{end}.{other}"]])
             inside |= leg[:, 0] < _LEG_RADIUS_M
     return inside
 
 
-def _to_segment(
+def _distances_to_segment(
     points: Float[ndarray, "n k 3"], start: Float[ndarray, "n 3"], end: Float[ndarray, "n 3"]
 ) -> Float[ndarray, "n k"]:
-    """Distance of points to a segment each."""
+    """Distance of points to the segment of their row."""
     along = (end - start)[:, None]
     share = ((points - start[:, None]) * along).sum(-1) / (along**2).sum(-1)
     return np.linalg.norm(points - start[:, None] - share.clip(0, 1)[..., None] * along, axis=-1)

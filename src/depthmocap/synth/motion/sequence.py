@@ -1,4 +1,4 @@
-"""A procedural motion: stand, turn around on the spot, walk, raise the arms, bend, squat, reach and kick."""
+"""The demo motion: stand, turn around on the spot, walk, raise the arms, bend, squat, reach and kick."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy import ndarray
 from depthmocap.synth.motion.perform import Motion, Score, Step, perform, stand
 from depthmocap.synth.people.garments import DressedBody
 
-#: Length of the demo motion.
+#: Length of the demo motion (s).
 DEMO_SECONDS = 9.8
 
 _SCORE: Score = {
@@ -39,8 +39,10 @@ _SCORE: Score = {
     "elbow.R": [(0, 10), (0.7, 22), (2.8, 22), (3.65, 26), (4.5, 10), (5.1, 3), (5.75, 12), (6.65, 10), (7.1, 4),
                 (7.75, 12), (8.1, 34), (8.55, 4), (8.7, 4), (9.1, 24), (9.75, 10)],
 }  # fmt: skip
-#: Where the person starts and goes to (leg lengths), along y: forward is −Y.
-_START_Y, _END_Y = 0.6, -0.26
+#: Start of the walk along y (leg lengths); forward is −Y.
+_START_Y = 0.6
+#: End of the walk along y (leg lengths).
+_END_Y = -0.26
 
 
 def _demo_steps() -> list[Step]:
@@ -61,7 +63,6 @@ def _demo_steps() -> list[Step]:
 
 
 def demo_motion(dressed: DressedBody, times_s: Float[ndarray, " n"]) -> Motion:
-    """The demo motion at any times (s) of 0 to ``DEMO_SECONDS``, for a body that turns behind the origin, steps
-    forward and faces −Y for the rest; before and after, it stands. The feet are placed with the bones of this body,
-    the soles of its shoes on the floor."""
+    """The demo motion at any times (s): from 0 to ``DEMO_SECONDS`` the body turns behind the origin, walks forward and
+    then faces −Y; before and after it stands. The soles of the shoes stand on the floor."""
     return perform(dressed, times_s, _SCORE, _demo_steps(), (0.0, _START_Y, 0.0))

@@ -10,8 +10,8 @@ from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.geometry.transforms import unit
-from depthmocap.synth.motion.pocketed_hands import Pocketed, PocketKind, arms_off_trunk, hands_in_pockets
-from depthmocap.synth.motion.touch import across
+from depthmocap.synth.motion.pocketed_hands import PocketedHand, PocketKind, hands_in_pockets, hold_arms_off_trunk
+from depthmocap.synth.motion.touch import perpendicular
 from depthmocap.synth.people.garments import DressedBody, cloth_material
 from depthmocap.synth.people.sheet import grid_faces
 from depthmocap.synth.people.wardrobe import Garment
@@ -80,7 +80,7 @@ def pose_in_clothes(
     top = _outermost_top(dressed.clothes.garments)
     bulk = 0.0 if top is None or not top.sleeve else top.thickness_m + 0.3 * top.slack_m
     if bulk > 0.02:
-        posture = arms_off_trunk(posture, bulk * rng.uniform(0.3, 1.0))
+        posture = hold_arms_off_trunk(posture, bulk * rng.uniform(0.3, 1.0))
     pockets = find_pockets(dressed.clothes.garments)
     if share is None:
         share = _JACKET_POCKET_SHARE if "jacket" in pockets else _TROUSER_POCKET_SHARE
@@ -96,7 +96,7 @@ def pose_in_clothes(
     return dataclasses.replace(person, layers=person.layers + pocket_layers)
 
 
-def _pocket_layer(person: PosedPerson, pocketed: Pocketed, garment: Garment, rng: np.random.Generator) -> Layer:
+def _pocket_layer(person: PosedPerson, pocketed: PocketedHand, garment: Garment, rng: np.random.Generator) -> Layer:
     """The cloth of a pocket: it lies over the hand, meets the body around it, and is open towards the wrist.
 
     The cloth is a height map over the tangent plane of the skin: above the hand, and taut between hand and body.
@@ -104,7 +104,7 @@ def _pocket_layer(person: PosedPerson, pocketed: Pocketed, garment: Garment, rng
     side, normal = pocketed.side, pocketed.normal
     hand = person.vertices[vertices_of(person.body.model, ("hand",), side)].astype(float)
     middle, wrist = hand.mean(0), person.joints[JOINT_INDEX[f"{side}Hand"]]
-    ahead = unit(across(middle - wrist, normal))
+    ahead = unit(perpendicular(middle - wrist, normal))
     frame = np.stack([ahead, np.cross(normal, ahead), normal], 1)
     local = (hand - middle) @ frame
     mouth = float((wrist - middle) @ ahead) + rng.uniform(*_MOUTH_M[pocketed.kind])

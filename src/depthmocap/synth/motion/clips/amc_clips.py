@@ -1,4 +1,4 @@
-"""ASF/AMC files (Acclaim, the CMU database's own form): a skeleton in one file, motions of it in others.
+"""ASF/AMC files (Acclaim, the format of the CMU database): a skeleton in one file, its motions in others.
 
 A bone's rotation is ``C R(x, y, z) Cᵀ`` away from the rest pose, ``C`` the bone's ``axis`` and both in fixed axes; its
 direction at rest is in the world's axes.
@@ -18,14 +18,15 @@ from depthmocap.core.reading.input_files import read_text
 from depthmocap.errors import InputError
 from depthmocap.synth.motion.clips.clip_motion import Motion, frame_step, reason
 
+#: Channels of a bone.
 _KNOWN_CHANNELS = {"L", *(f"{kind}{axis}" for kind in "TR" for axis in "XYZ")}
-#: An AMC file does not tell its rate; the database was recorded at this one.
+#: Frame rate of the database; AMC files do not store it.
 AMC_FPS = 120.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AsfSkeleton:
-    """The skeleton of an ASF file: bones (the first is the root), parents, rest axes, and which angles each has."""
+    """The skeleton of an ASF file: bones (the first is the root), parents, rest axes and channels."""
 
     names: tuple[str, ...]
     parents: tuple[int, ...]
@@ -104,7 +105,7 @@ def _parse_asf(text: str) -> AsfSkeleton:
 
 
 def _blocks(lines: list[list[str]]) -> list[dict[str, list[str]]]:
-    """The begin … end blocks as tables of their lines' first words."""
+    """The begin … end blocks, each as a table from the first words of its lines to the other words."""
     blocks: list[dict[str, list[str]]] = []
     for words in lines:
         if words == ["begin"]:

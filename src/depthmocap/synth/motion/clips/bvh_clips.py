@@ -14,6 +14,7 @@ from depthmocap.core.reading.input_files import read_text
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.synth.motion.clips.clip_motion import Motion, frame_step, reason
 
+#: Channels of a joint.
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 
 
@@ -29,7 +30,7 @@ def read_bvh_motion(path: Path, every_frame: bool = True) -> Motion:
         raise missing_extra("bvhio", "train") from None
     lines = [line for raw in read_text(path).splitlines() if (line := raw.strip())]
     try:
-        rows, frame_time_s = _motion_rows(lines)  # first: at the end of a cut file the parser would wait for ever
+        rows, frame_time_s = _motion_rows(lines)  # before the parser, which does not return for truncated files
         root = bvhio.readAsBvh(str(path), loadKeyFrames=False).Root
         joints: list[tuple[Any, int]] = []
         _flatten(root, -1, joints)

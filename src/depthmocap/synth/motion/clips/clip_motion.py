@@ -1,4 +1,4 @@
-"""What every reader of motion capture files gives: a tree of joints and its rotations, in the file's own axes."""
+"""The result of the readers of motion capture files: a tree of joints and its rotations, in the file's axes."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from numpy import ndarray
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Motion:
-    """A moving skeleton. In the zero pose all rotations are the identity and joints lie at the sums of offsets.
+    """A moving skeleton. In the zero pose all rotations are the identity.
 
     Attributes:
         names: joints, parents before their children; the first is the root.
         parents: index of every joint's parent, −1 for the root.
-        offsets: from the parent's joint, in the file's unit of length.
-        ends: from the last joint of a limb to its tip; zeros where a joint has children or the file tells nothing.
+        offsets: from the parent's joint in the zero pose, in the file's unit of length.
+        ends: from the last joint of a limb to its tip; zeros if a joint has children or the file has no tip.
         rotations: of every joint relative to its parent.
         frame_time_s: seconds between frames.
-        root_path: where the root is, in the file's axes and unit of length; zeros where it does not tell.
+        root_path: positions of the root, in the file's axes and unit of length; zeros if the file has none.
     """
 
     names: tuple[str, ...]
@@ -40,7 +40,7 @@ class Motion:
         return world
 
     def children(self, joint: int) -> list[int]:
-        """Joints that hang from one."""
+        """Children of a joint."""
         return [child for child, parent in enumerate(self.parents) if parent == joint]
 
     def ancestors(self, joint: int) -> list[int]:
@@ -50,14 +50,14 @@ class Motion:
             chain.append(self.parents[chain[-1]])
         return chain
 
-    def joined(self, joints: list[int]) -> int:
-        """The lowest joint that all of some joints hang from (or are)."""
+    def common_ancestor(self, joints: list[int]) -> int:
+        """The lowest common ancestor of some joints (possibly one of them)."""
         shared = set(self.ancestors(joints[0])).intersection(*(self.ancestors(joint) for joint in joints[1:]))
         return max(shared, key=lambda joint: len(self.ancestors(joint)))
 
     def tail(self, joint: int) -> Float[ndarray, "3"]:
-        """From a joint to the nearest one below it that is not at the same place, in the zero pose (for a hand: the
-        middle finger); zeros where there is none."""
+        """From a joint to the nearest descendant at another position, in the zero pose (for a hand: the middle finger);
+        zeros if there is none."""
         children = sorted(self.children(joint), key=lambda child: "mid" not in self.names[child].lower())
         for child in children:
             if np.linalg.norm(self.offsets[child]) > 1e-6:

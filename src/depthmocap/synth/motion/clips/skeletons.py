@@ -1,4 +1,4 @@
-"""Which joint of a file each of our posture bones follows: by naming scheme, guessed, or told by the user."""
+"""Maps from posture bones to a file's joints: by naming scheme, by guessing, or from the user."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ REQUIRED_BONES = (
     *(f"{bone}.{side}" for side in "RL" for bone in ("upper_arm", "forearm", "thigh", "shin")),
 )
 
-Joints = dict[str, str]  # posture bone → the file's joint
+#: Names of a file's joints by posture bone.
+Joints = dict[str, str]
 
 
 def _scheme(trunk: str, right: str, left: str, limbs: str) -> Joints:
-    """Joints of the trunk ("-": none), the two sides' forms of a limb's name, and the names of the limbs."""
+    """A naming scheme of trunk joints ("-" for none), the formats of right and left limbs, and their names."""
     table: Joints = dict(zip(_TRUNK_BONES, trunk.split(), strict=True))
     for side, form in (("R", right), ("L", left)):
         for bone, joint in zip(_LIMB_BONES, limbs.split(), strict=True):
@@ -33,8 +34,8 @@ def _scheme(trunk: str, right: str, left: str, limbs: str) -> Joints:
 
 
 _SIDES = ("Right{}", "Left{}")
-#: By naming scheme; one fits when a file has all of its joints (a common prefix such as ``mixamorig:`` left out). The
-#: forearm of the CMU skeletons is two joints long, and so their hand's own rotation is not in the joint called hand.
+#: Joints by naming scheme. A scheme fits if a file has all of its joints (without a common prefix such as
+#: ``mixamorig:``). Forearms of CMU skeletons have two joints, so that the hand's rotation is not in the joint "Hand".
 SCHEMES: dict[str, Joints] = {
     "cmu": _scheme("Hips LowerBack Spine Spine1 Neck1 Head", *_SIDES, "Shoulder Arm ForeArm FingerBase UpLeg Leg Foot"),
     "asf": _scheme(
@@ -76,7 +77,7 @@ SCHEMES: dict[str, Joints] = {
 
 @dataclasses.dataclass(frozen=True)
 class SkeletonMap:
-    """The joint (by its index) of every posture bone that the file has, and where that was found."""
+    """Index of the joint of every posture bone that the file has, and the naming scheme (or "guessed")."""
 
     joints: dict[str, int]
     scheme: str
@@ -88,10 +89,10 @@ class SkeletonMap:
 
 
 def read_mapping(path: Path) -> Joints:
-    """A user's mapping: a JSON object of posture bones and joint names.
+    """A user's mapping: a JSON object from posture bones to joint names.
 
     Raises:
-        InputError: when it is not one, or names bones that we do not have.
+        InputError: when it is not such an object, or has unknown bones.
     """
     table = read_json(path)
     if not isinstance(table, dict) or not all(isinstance(joint, str) for joint in table.values()):
@@ -104,11 +105,11 @@ def read_mapping(path: Path) -> Joints:
 
 
 def map_skeleton(motion: Motion, overrides: Joints | None = None) -> SkeletonMap:
-    """The joints of our posture bones: of a naming scheme all of whose joints are there, else guessed from side and
-    part words and the tree. ``overrides`` goes before both.
+    """The joints of the posture bones: by a naming scheme that fits, otherwise guessed from words for sides and parts
+    and from the tree. ``overrides`` takes precedence.
 
     Raises:
-        InputError: when a required bone is not found, or an override names a joint that the file has not.
+        InputError: when a required bone has no joint, or an override names a joint that the file lacks.
     """
     plain = _plain_names(motion.names)
     joints: dict[str, int] | None = None
@@ -133,8 +134,7 @@ def map_skeleton(motion: Motion, overrides: Joints | None = None) -> SkeletonMap
 
 
 def _plain_names(names: tuple[str, ...]) -> list[str]:
-    """Names without a name space (``a:Hips``), a path (``root/spine``) or a prefix that the joints share, spaces as
-    underscores."""
+    """Names without name space (``a:Hips``), path (``root/spine``) and common prefix; spaces become underscores."""
     plain = [re.split(r"[:/|\\]", name.rstrip(":/|\\"))[-1].replace(" ", "_") for name in names]
     prefixes = {match.group() for name in plain[1:] if (match := re.match(r"[A-Za-z]+\d*_", name))}
     if len(prefixes) == 1 and len(names) > 2:
@@ -147,13 +147,14 @@ def _plain_names(names: tuple[str, ...]) -> list[str]:
 _LEFT_WORDS, _RIGHT_WORDS = frozenset({"left", "l", "lft", "lt"}), frozenset({"right", "r", "rgt", "rt"})
 _HEAD, _NECK = frozenset({"head", "skull"}), frozenset({"neck"})
 _HAND, _FOOT = frozenset({"hand", "wrist", "palm"}), frozenset({"foot", "ankle"})
-#: Where a limb has no hand or foot it ends in one of these.
+#: Words for the last joint of an arm without a hand.
 _FOREARM = frozenset({"forearm", "lowerarm", "lowarm", "elbow", "radius", "farm"})
+#: Words for the last joint of a leg without a foot.
 _SHIN = frozenset({"shin", "calf", "lowerleg", "lowleg", "knee", "tibia"})
 _PARTS = _HAND | _FOOT | _FOREARM | _SHIN
-#: Joints beside the limb's own: twist helpers and inverse kinematics handles.
+#: Words for helper joints: twist joints and handles of inverse kinematics.
 _HELPERS = frozenset({"twist", "roll", "ik", "pole", "end", "nub", "site", "target"})
-#: What a side may be glued to (``lfemur``), beside the ends of limbs.
+#: Words that may follow a side without a separator (``lfemur``).
 _GLUED = _PARTS | frozenset({
     "femur", "humerus", "clavicle", "thigh", "hip", "leg", "upleg", "upperleg", "shoulder", "collar", "arm", "uparm",
     "upperarm", "shldr", "toe", "toes", "thumb", "fingers", "scapula", "fibula", "ulna", "buttock",
@@ -161,7 +162,8 @@ _GLUED = _PARTS | frozenset({
 
 
 def _words(name: str) -> frozenset[str]:
-    """Lower-case words of a name; pairs such as "lower arm" also as one, and a glued side (``lfoot``) apart."""
+    """Lower-case words of a name; pairs such as "lower arm" also as one word, and a side without a separator
+    (``lfoot``) as its own word."""
     parts = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)
     words = [part.lower() for part in parts]
     for word in tuple(words):
@@ -173,7 +175,7 @@ def _words(name: str) -> frozenset[str]:
 
 
 def _guess(motion: Motion, plain: list[str]) -> dict[str, int]:
-    """Joints found from the hands, feet and head upwards along the tree; what is not found is left out."""
+    """Joints guessed from hands, feet and head upwards along the tree; unknown bones are left out."""
     words = [_words(name) for name in plain]
     joints: dict[str, int] = {}
     for side, sides in (("R", _RIGHT_WORDS), ("L", _LEFT_WORDS)):
@@ -184,10 +186,10 @@ def _guess(motion: Motion, plain: list[str]) -> dict[str, int]:
             _guess_limb(motion, words, (sides, last, fallback), [f"{bone}.{side}" for bone in chain], joints)
     if not all(f"{bone}.{side}" in joints for bone in ("thigh", "upper_arm") for side in "RL"):
         return joints
-    joints["pelvis"] = motion.joined([joints["thigh.R"], joints["thigh.L"]])
-    chest = motion.joined([joints["upper_arm.R"], joints["upper_arm.L"]])
+    joints["pelvis"] = motion.common_ancestor([joints["thigh.R"], joints["thigh.L"]])
+    chest = motion.common_ancestor([joints["upper_arm.R"], joints["upper_arm.L"]])
     above = motion.ancestors(chest)
-    # Where hips and spine hang from one root side by side, the spine begins below that.
+    # If hips and spine are siblings below the root, the spine begins below the root.
     below = set(motion.ancestors(joints["pelvis"]))
     _spread_spine([joint for joint in above if joint not in below][::-1], joints)
     heads = [i for i, name in enumerate(words) if name & _HEAD and not name & _HELPERS]
@@ -207,17 +209,17 @@ def _guess_limb(
     chain: list[str],
     joints: dict[str, int],
 ) -> None:
-    """Bones of one limb from its end: the joint named so and those above it, as far as they carry the side."""
-    sides, last, fallback = name_parts
+    """Bones of one limb from its end: the joint with such a name and its ancestors of the same side."""
+    sides, end_words, fallback_words = name_parts
     of_side = [bool(name & sides) and not name & _HELPERS for name in words]
-    for parts, bones in ((last, chain), (fallback, chain[1:])):
+    for parts, bones in ((end_words, chain), (fallback_words, chain[1:])):
         ends = [i for i, name in enumerate(words) if of_side[i] and name & parts]
         if not ends:
             continue
         joint = min(ends, key=lambda i: len(motion.ancestors(i)))
         limb = [joint]
         for above in motion.ancestors(joint)[1:]:
-            # A joint of no length to the next (as the hip joints of some files) turns nothing of its own.
+            # A joint at the same position as the next one (hip joints of some files) has no bone.
             if of_side[above] and (motion.offsets[limb[-1]] ** 2).sum() > 1e-12:
                 limb.append(above)
             elif not of_side[above] and not words[above] & _HELPERS:
@@ -227,7 +229,7 @@ def _guess_limb(
 
 
 def _spread_spine(chain: list[int], joints: dict[str, int]) -> None:
-    """Spine joints from the pelvis up: one is the low one, two the low and the high, more are spread evenly."""
+    """Spine joints from the pelvis up: one is the low bone, two are the low and the high, more are spread evenly."""
     if chain:
         joints["spine_low"] = chain[0]
     if len(chain) > 1:

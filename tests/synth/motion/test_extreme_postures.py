@@ -8,7 +8,13 @@ import pytest
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.synth.body.bones import POSTURE_INDEX, world_rotations
 from depthmocap.synth.body.mesh import REST_POSTURE, Body
-from depthmocap.synth.motion.beyond import FAMILIES, beyond_recorded, cuts_itself, on_floor, stick_points
+from depthmocap.synth.motion.extreme_postures import (
+    FAMILIES,
+    capsule_points,
+    extreme_posture,
+    rest_on_floor,
+    self_intersects,
+)
 from depthmocap.synth.motion.limits import within_limits
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, PosturePrior, Variation
 
@@ -17,12 +23,12 @@ PRIOR = PosturePrior.load()
 
 def drawn(count: int, family: str | None = None) -> np.ndarray:
     rng = np.random.default_rng(4)
-    return np.stack([beyond_recorded(PRIOR.sample(rng)[0], rng, family) for _ in range(count)])  # pyright: ignore
+    return np.stack([extreme_posture(PRIOR.sample(rng)[0], rng, family) for _ in range(count)])  # pyright: ignore
 
 
 def test_within_limits_and_not_through_themselves() -> None:
     postures = drawn(60)
-    good = within_limits(postures) & [not cuts_itself(posture) for posture in postures]
+    good = within_limits(postures) & [not self_intersects(posture) for posture in postures]
     assert good.mean() > 0.9  # what cannot be drawn in a few tries stays as it was given
 
 
@@ -47,8 +53,8 @@ def test_who_lies_on_the_floor_stays_lying() -> None:
     """The centre of mass is above what touches the floor; a push to the side lifts it."""
     rng = np.random.default_rng(1)
     for _ in range(20):
-        lying = on_floor(PRIOR.sample(rng)[0], rng)
-        points = stick_points(lying)
+        lying = rest_on_floor(PRIOR.sample(rng)[0], rng)
+        points = capsule_points(lying)
         lowest = points[..., 2].min()
         touching = points[points[..., 2] < lowest + 0.12]
         middle = points.mean((0, 1))
@@ -68,7 +74,7 @@ def test_families(default_body: Body, family: str) -> None:
 
 def test_the_share_of_training_and_of_a_test_set() -> None:
     rng = np.random.default_rng(0)
-    kinds = [TRAINING_VARIATION.of_one(rng) for _ in range(400)]
+    kinds = [TRAINING_VARIATION.draw(rng) for _ in range(400)]
     assert np.mean([kind.beyond > 0 for kind in kinds]) == pytest.approx(TRAINING_VARIATION.beyond, abs=0.06)
     assert np.mean([kind.limb > 0 for kind in kinds]) == pytest.approx(0.3, abs=0.06)
     assert Variation(beyond=1.0, family="floor").of(simple=True).beyond == 0  # who walks goes on walking
