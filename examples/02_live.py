@@ -24,6 +24,6 @@ def main(sources: list[str], rig: Path | None = None) -> None:
 
 
 if __name__ == "__main__":
-    given = sys.argv[1:]
-    rigs = [Path(each) for each in given if each.endswith(".json")]
-    main([each for each in given if not each.endswith(".json")], rigs[0] if rigs else None)
+    arguments = sys.argv[1:]
+    rigs = [Path(name) for name in arguments if name.endswith(".json")]
+    main([name for name in arguments if not name.endswith(".json")], rigs[0] if rigs else None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import signal
 from collections.abc import Iterator
 
@@ -11,6 +12,9 @@ from virtual_time import virtual
 from depthmocap.synth.body.mesh import Body, BodyModel, Phenotype
 
 __all__ = ["virtual"]
+
+#: Modules that import torch at the top; without the extra "train" they are left out.
+collect_ignore = [] if importlib.util.find_spec("torch") else ["test_data_commands.py"]
 
 
 @pytest.fixture(scope="session")

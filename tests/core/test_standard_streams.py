@@ -51,6 +51,7 @@ def full() -> Iterator[io.TextIOWrapper]:
 
 
 def test_full_streams_end_no_recording(recording: Path, full: io.TextIOWrapper, tmp_path: Path, monkeypatch) -> None:
+    pytest.importorskip("foxglove")
     monkeypatch.setattr(sys, "stderr", full)
     assert main(["record", str(recording), "--out", str(tmp_path / "take.mcap")]) == 0
     assert len(open_recording(tmp_path / "take.mcap")) == SETS
@@ -73,6 +74,7 @@ def test_a_reader_who_left_is_not_told(recording: Path, capsys, monkeypatch) -> 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs a POSIX shell")
 def test_closed_streams_do_not_get_into_a_recording(recording: Path, tmp_path: Path) -> None:
+    pytest.importorskip("foxglove")
     out = tmp_path / "take.mcap"
     command = [sys.executable, "-m", "depthmocap.cli", "record", str(recording), "--out", str(out)]
     subprocess.run(["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", *command], check=True)
@@ -80,6 +82,7 @@ def test_closed_streams_do_not_get_into_a_recording(recording: Path, tmp_path: P
 
 
 def test_any_name_in_any_locale(recording: Path, tmp_path: Path) -> None:
+    pytest.importorskip("foxglove")
     code = (
         "import sys\n"
         "from depthmocap.cli import main\n"

@@ -11,6 +11,8 @@ from PIL import Image
 
 from depthmocap.datasets.png import colour_png, grey_png
 
+pytest.importorskip("isal")
+
 
 def pictures(rng: np.random.Generator, dtype: type, high: int):
     """Of many sizes, with empty rows above and below, or wholly empty."""

@@ -15,6 +15,8 @@ from depthmocap.datasets.shards import ShardReader, ShardWriter, count_samples, 
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 
+pytest.importorskip("isal")
+
 
 def samples(count=3, seed=0):
     rng = np.random.default_rng(seed)

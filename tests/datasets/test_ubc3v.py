@@ -33,6 +33,8 @@ from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.transforms import look_at, transform_points
 
+pytest.importorskip("isal")
+
 # Codecs
 
 

@@ -117,6 +117,7 @@ def test_clips_of_the_split_are_taken_and_too_few_are_told(tmp_path: Path, defau
 
 def _tracks(settings: MotionEvaluation) -> list[SequenceEstimates]:
     """Estimates of a body that sways, with noise that the confidence knows nothing of."""
+    pytest.importorskip("anny")
     rng = np.random.default_rng(0)
     base = BodyModel.load().shape(Phenotype()).pose(REST_POSTURE).joints.astype(np.float64)
     tracks = []

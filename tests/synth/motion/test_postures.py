@@ -23,7 +23,6 @@ from depthmocap.synth.motion.postures import (
     posture_source,
     thin_frames,
 )
-from depthmocap.synth.motion.prior import PriorTraining, fit_prior
 
 AS_RECORDED = Variation(mirror=0.0)
 
@@ -55,6 +54,7 @@ def test_prior_is_a_mixture() -> None:
 
 
 def test_prior_depends_on_the_generator_alone() -> None:
+    pytest.importorskip("anny")
     prior = PosturePrior.load(variation=TRAINING_VARIATION)
     np.testing.assert_array_equal(draw(prior, 20, 5), draw(PosturePrior.load(variation=TRAINING_VARIATION), 20, 5))
     assert np.abs(draw(prior, 20, 5) - draw(prior, 20, 6)).max() > 0.1
@@ -139,11 +139,17 @@ def test_prior_file_errors(tmp_path: Path, content: str) -> None:
     ],
 )
 def test_fits_that_cannot_be(options: dict[str, Any], message: str) -> None:
+    pytest.importorskip("sklearn")
+    from depthmocap.synth.motion.prior import PriorTraining
+
     with pytest.raises(InputError, match=message):
         PriorTraining(Path("clips"), **{"out": Path("prior.npz"), **options})
 
 
 def test_fewer_postures_than_components(tmp_path: Path) -> None:
+    pytest.importorskip("sklearn")
+    from depthmocap.synth.motion.prior import PriorTraining, fit_prior
+
     clips = [Clip("still", np.zeros((5, 20, 3), np.float32), simple=False, split="train")]
     with pytest.raises(InputError, match="2 distinct postures are fewer than --components 48"):
         fit_prior(clips, PriorTraining(Path("clips"), tmp_path / "prior.npz"))
