@@ -120,7 +120,7 @@ def _rvl_encode(raw: ndarray, out: ndarray) -> int:
 def _codings() -> dict[str, tuple[Callable[[ndarray], bytes], Callable[[bytes], ndarray] | None]]:
     """Coding, and decoding where it is worth a measurement, by name."""
     try:
-        import lz4.block  # pyright: ignore[reportMissingTypeStubs]
+        import lz4.block
         import zstandard
     except ModuleNotFoundError as error:
         raise missing_extra(error.name or "lz4", "dev") from None

@@ -19,14 +19,15 @@ from depthmocap.evaluate.accuracy import measure_accuracy
 from depthmocap.evaluate.ubc3v_protocol import Ubc3vEvaluation, evaluate_ubc3v
 from depthmocap.pose.estimators import load_estimator
 from depthmocap.pose.ridge import RidgeBank
-from depthmocap.synth.sample import Recipe
+from depthmocap.synth.sample import Recipe, Split
 from depthmocap.synth.writing.generate import SynthSettings, generate
 from depthmocap.train import train_classifier as train
 from depthmocap.train import train_votes as votes_train
 from depthmocap.train.checkpoints import load_weights
+from depthmocap.train.classifier_settings import ClassifierTraining
 from depthmocap.train.networks import FastNet
 from depthmocap.train.pose_samples import PoseSampleSettings, append_parts, collect, read_samples
-from depthmocap.train.train_classifier import ClassifierTraining, train_classifier
+from depthmocap.train.train_classifier import train_classifier
 from depthmocap.train.train_pose import PoseTraining, train_pose
 
 QUIET = Console(quiet=True)
@@ -36,7 +37,8 @@ QUIET = Console(quiet=True)
 def root(body_model, tmp_path_factory):
     """A UBC3V root with a few samples of hard-pose in each split."""
     path = tmp_path_factory.mktemp("ubc3v")
-    for split, count in (("train", 24), ("valid", 2), ("test", 4)):
+    counts: dict[Split, int] = {"train": 24, "valid": 2, "test": 4}
+    for split, count in counts.items():
         generate(SynthSettings(path, Recipe("hard", split), samples=count, seed=3))
     return path
 
@@ -228,7 +230,7 @@ def test_train_classifier_resumes_and_exports(root, tmp_path, monkeypatch):
         expected = network.eval()(windows)
     found = Classifier(onnx)._session.run(None, {"windows": windows.numpy()})
     for ours, theirs in zip(found, expected, strict=True):
-        np.testing.assert_allclose(ours, theirs.numpy(), atol=0.02 * theirs.abs().max())
+        np.testing.assert_allclose(np.asarray(ours), theirs.numpy(), atol=0.02 * theirs.abs().max())
 
 
 @pytest.mark.slow
@@ -276,10 +278,10 @@ def test_votes_that_are_interrupted_are_kept(root, tmp_path, monkeypatch):
         return original(*arguments)
 
     monkeypatch.setattr(votes_train, "augment", interrupted)
-    told = Console(file=io.StringIO())
-    (path,) = train_pose(settings, told)
+    told = io.StringIO()
+    (path,) = train_pose(settings, Console(file=told))
     assert path.exists() and path.with_suffix(".safetensors").exists()
-    assert "stopped: what was learnt until now is written" in told.file.getvalue()
+    assert "stopped: what was learnt until now is written" in told.getvalue()
     steps = iter([3])  # at once
     with pytest.raises(KeyboardInterrupt):
         train_pose(dataclasses.replace(settings, out=tmp_path / "none"), QUIET)

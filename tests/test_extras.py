@@ -94,6 +94,7 @@ def test_what_is_imported_is_declared() -> None:
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 imported.add(node.module.partition(".")[0])
         for module in imported - set(sys.stdlib_module_names) - {"depthmocap"}:
-            packages = {_normal(each) for each in brought.get(module, [_WITH_OTHERS.get(module, module)])}
-            packages |= {_WITH_OTHERS[module]} if module in _WITH_OTHERS else set()
+            bringer = _WITH_OTHERS.get(module)
+            packages = {_normal(each) for each in brought.get(module, [bringer or module])}
+            packages |= {bringer} if bringer else set()
             assert packages & declared, f"{path.name} imports {module}, which no extra brings"

@@ -12,8 +12,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from mkdocs.exceptions import PluginError
-from mkdocs.structure.files import File, Files
+from mkdocs.exceptions import PluginError  # pyright: ignore[reportMissingImports] - of the docs extra
+from mkdocs.structure.files import File, Files  # pyright: ignore[reportMissingImports] - of the docs extra
 
 #: What a browser would fetch by itself when a page is opened. Links that a reader follows are no part of that.
 _FETCHED = re.compile(

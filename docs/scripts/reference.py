@@ -8,7 +8,7 @@ import io
 import os
 from types import ModuleType
 
-from mkdocs.exceptions import PluginError
+from mkdocs.exceptions import PluginError  # pyright: ignore[reportMissingImports] - of the docs extra
 
 #: Columns of the help.
 _WIDTH = 100

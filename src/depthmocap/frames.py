@@ -24,9 +24,12 @@ class View:
 
     def turned(self, quarters: int) -> View:
         """The view turned anticlockwise by so many quarters, with its camera: the same of the world is seen."""
-        pictures = (None if each is None else np.ascontiguousarray(np.rot90(each, quarters))
-                    for each in (self.depth_m, self.mask, self.labels))  # fmt: skip
-        return View(self.camera.turned(quarters), *pictures)  # pyright: ignore[reportArgumentType]
+
+        def turned(picture: ndarray) -> ndarray:
+            return np.ascontiguousarray(np.rot90(picture, quarters))
+
+        mask, labels = (None if each is None else turned(each) for each in (self.mask, self.labels))
+        return View(self.camera.turned(quarters), turned(self.depth_m), mask, labels)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -85,7 +85,7 @@ class FakeK4a:
     def k4a_capture_get_depth_image(self, capture: Any) -> int | None:
         if self.number % 2:
             return None
-        rows = np.frombuffer(self.words, np.uint16).reshape(HEIGHT, -1)
+        rows = np.frombuffer(memoryview(self.words), np.uint16).reshape(HEIGHT, -1)
         rows[:], rows[:, WIDTH:] = self.number // 2, 9
         self.held.append(2000)
         return 2000
@@ -95,7 +95,7 @@ class FakeK4a:
 
     def k4a_image_release(self, image: int) -> None:
         self.held.remove(image)
-        np.frombuffer(self.words, np.uint16)[:] = 7  # the memory is used for something else
+        np.frombuffer(memoryview(self.words), np.uint16)[:] = 7  # the memory is used for something else
 
     def k4a_image_get_buffer(self, image: int) -> int:
         return ctypes.addressof(self.words)

@@ -37,7 +37,8 @@ class Device:
     def __init__(self, reference: Any = None) -> None:
         if reference is None:
             raise NoDeviceError
-        self.reference, self.listener, self.state = reference, None, "open"
+        self.reference, self.state = reference, "open"
+        self.listener: Any = None
         self.ir_camera_params: Any = None
         Device.opened = self
 
@@ -48,8 +49,8 @@ class Device:
 
     def deliver(self, *numbers: int) -> None:
         for number in numbers:
-            self.listener(COLOR, None)  # type: ignore
-            self.listener(DEPTH, Frame(number))  # type: ignore
+            self.listener(COLOR, None)
+            self.listener(DEPTH, Frame(number))
 
     def stop(self) -> None:
         self.state = "stopped"

@@ -79,7 +79,7 @@ class Stream:
     def read_frame(self) -> Any:
         self.number += 1
         width, height = self.mode.resolutionX, self.mode.resolutionY
-        rows = np.frombuffer(self.words, np.uint16)[: (width + 8) * height].reshape(height, width + 8)
+        rows = np.frombuffer(memoryview(self.words), np.uint16)[: (width + 8) * height].reshape(height, width + 8)
         rows[:] = 7
         rows[:, 0] = self.number
         return types.SimpleNamespace(
@@ -130,7 +130,7 @@ def package(monkeypatch: pytest.MonkeyPatch) -> Any:
         initialize=lambda folders=None: None, unload=lambda: None,
     )  # fmt: skip
     monkeypatch.setitem(sys.modules, "openni", types.ModuleType("openni"))
-    monkeypatch.setitem(sys.modules, "openni.openni2", fake)  # type: ignore
+    monkeypatch.setitem(sys.modules, "openni.openni2", fake)
     monkeypatch.setattr(sdk, "usb_devices", list)
     return fake
 

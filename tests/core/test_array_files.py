@@ -14,7 +14,8 @@ WANTED = {"a": ArrayType("n 3", "f"), "b": ArrayType("n", "iu"), "name": ArrayTy
 
 
 def _save(path: Path, **changes: np.ndarray) -> Path:
-    np.savez_compressed(path, **({"a": np.zeros((5, 3)), "b": np.arange(5), "name": np.array("x")} | changes))
+    arrays = {"a": np.zeros((5, 3)), "b": np.arange(5), "name": np.array("x")} | changes
+    np.savez_compressed(path, **arrays)  # pyright: ignore[reportArgumentType] - none is called allow_pickle
     return path
 
 

@@ -143,7 +143,8 @@ def test_damage_is_named(tmp_path):
 def test_damaged_samples_are_named(tmp_path):
     path = write(shard_path(tmp_path, 0), samples(1))
     with tarfile.open(path) as tar:
-        members = {name: tar.extractfile(name).read() for name in tar.getnames()}  # type: ignore[union-attr]
+        files = {name: tar.extractfile(name) for name in tar.getnames()}
+        members = {name: file.read() for name, file in files.items() if file is not None}
     document = json.loads(members["000000000.json"])
 
     def changed(**values):

@@ -182,7 +182,7 @@ def test_mask_without_depth_and_person_without_label(tmp_path):
     (back,) = Section(writer.path)[0].views
     assert (back.mask == view.mask).all()
     assert back.depth_m[160, 210] == 0
-    assert back.labels[161, 210] == UNLABELLED
+    assert back.labels is not None and back.labels[161, 210] == UNLABELLED
 
 
 def test_missing_views(tmp_path):
@@ -221,6 +221,7 @@ def test_resume(tmp_path, monkeypatch):
     assert not list(path.glob("*.part"))
     assert [frame.views[0].labels is None for frame in section] == [False, False, True, True]
     for frame, (views, joints) in zip(section, samples, strict=True):
+        assert frame.true_joints is not None
         np.testing.assert_allclose(frame.true_joints, joints, atol=1e-9)
         camera, written = frame.views[0].camera, views[0].camera
         np.testing.assert_allclose(camera.world_from_camera, written.world_from_camera, atol=1e-9)
@@ -447,5 +448,6 @@ def test_matrices_and_integers_as_matlab_may_store_them(tmp_path):
     }
     savemat(path / "groundtruth.mat", document)
     (frame,) = Section(path)
+    assert frame.true_joints is not None
     np.testing.assert_allclose(frame.true_joints, np.tile([1.0, -3.0, 2.0], (18, 1)))
     np.testing.assert_allclose(frame.views[0].camera.world_from_camera[:3, 3], [1.0, -3.0, 2.0])

@@ -115,20 +115,21 @@ def test_what_is_not_an_evaluation(tmp_path):
 
 
 def test_files_of_an_evaluation(tmp_path):
-    outputs = Outputs(json=tmp_path / "new" / "n.json", csv=tmp_path / "n.csv", report=tmp_path / "n.html")
+    made, table, report = tmp_path / "new" / "n.json", tmp_path / "n.csv", tmp_path / "n.html"
+    outputs = Outputs(json=made, csv=table, report=report)
     nothing = joint_numbers(joint_metrics(np.full((1, 18, 3), np.nan), np.full((1, 18, 3), np.nan)))
     write_outputs(
         outputs, "Two sets", {"seen": numbers(0.04, problems=["a <file> is bad"]), "none": {"frames": 1, **nothing}}
     )
-    document = json.loads(outputs.json.read_text())
+    document = json.loads(made.read_text())
     assert document["none"]["mean_joint_error_cm"] is None
     assert document["seen"]["reliability"] == {
         "confidence": [0.75], "within_10cm": [1.0], "beyond_20cm": [0.0], "joints": [72], "calibration_error": 0.25,
     }  # fmt: skip
-    rows = list(csv.reader(outputs.csv.read_text().splitlines()))
+    rows = list(csv.reader(table.read_text().splitlines()))
     assert rows[1] == ["seen", "Head", "4.0000", "0.0000", "1.0000"]
     assert rows[19] == ["none", "Head", "", "", ""] and len(rows) == 37
-    page = outputs.report.read_text()
+    page = report.read_text()
     assert "a &lt;file&gt; is bad" in page and "Two sets" in page
     assert page.count("<img") == 4  # curves; bars and reliability; bars
     (tmp_path / "n.html").unlink()

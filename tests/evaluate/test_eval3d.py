@@ -87,7 +87,7 @@ def test_every_person_by_a_fit_to_the_others(folder, tmp_path):
 @pytest.mark.parametrize("axes", [(1, -1, -1), (1, -1, 1), (1, 1, 1), (-1, 1, -1)])
 def test_camera_and_axes_follow_from_the_cloud(people, joints, tmp_path, axes):
     write_sequence(tmp_path / "seq_a_0.bin", [people[0].depth_m], joints[:1], axes)
-    names = dict(zip(NUMBERS, NAMES, strict=True))
+    names: dict[int, str] = dict(zip(NUMBERS, NAMES, strict=True))
     frame = next(iter(Eval(tmp_path, names, "all")))
     camera = frame.views[0].camera
     found = [camera.fx, camera.fy, camera.cx, camera.cy]
@@ -106,7 +106,7 @@ def test_the_person_before_a_wall(people, joints, tmp_path):
         depths.append(np.where(depth > 0, depth, np.float32(4)))
         truths.append(joints[i] + [side / CAMERA.fx * 2.6, 0, 0])
     write_sequence(tmp_path / "seq_a_0.bin", depths, truths)
-    names = dict(zip(NUMBERS, NAMES, strict=True))
+    names: dict[int, str] = dict(zip(NUMBERS, NAMES, strict=True))
     for frame, depth in zip(Eval(tmp_path, names), depths, strict=True):
         mask = frame.views[0].mask
         assert (mask & (depth < 4)).sum() > 0.95 * (depth < 4).sum()

@@ -8,7 +8,7 @@ from mhad_files import make_clips, true_joints, write_mhad
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.cli import main
-from depthmocap.datasets.mhad import MHAD_CORRESPONDENCE, MHAD_JOINTS
+from depthmocap.datasets.mhad import MHAD_CORRESPONDENCE, MHAD_JOINTS, MhadSet
 from depthmocap.evaluate import mhad_protocol as mhad
 
 CLIPS = make_clips(frames=5, actions=(1, 2))
@@ -95,7 +95,7 @@ def test_joints_of_ones_own_tables(run, tmp_path, capsys, root):
 
 
 def test_hands_outside_the_cloud(root):
-    frame = next(iter(mhad.MhadSet(root)))
+    frame = next(iter(MhadSet(root)))
     assert mhad.hands_in_cloud(frame)
     frame.joints_world[MHAD_JOINTS.index("LHandEnd"), 1] += 0.9
     assert not mhad.hands_in_cloud(frame)

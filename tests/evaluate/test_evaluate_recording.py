@@ -35,7 +35,7 @@ def recording(default_body, tmp_path_factory):
             posture = REST_POSTURE.copy()
             posture[:, 0] += 0.01 * i
             body = default_body.pose(posture)
-            body = dataclasses.replace(body, vertices=body.vertices + np.float32([0, 0, 0.9]))
+            body = dataclasses.replace(body, vertices=body.vertices + np.array([0, 0, 0.9], np.float32))
             frames = {camera.name: render_body(body, camera)[0] for camera in rig.cameras}
             raw = {name: np.rint(depth_m * 1000).astype(np.uint16) for name, depth_m in frames.items()}
             writer.write(i * 100_000_000, raw)

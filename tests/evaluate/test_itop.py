@@ -97,7 +97,7 @@ def test_only_valid_frames_with_known_joints(people, joints, tmp_path):
     view = frames[0].views[0]
     u, v, _ = view.camera.project(frames[0].joints_world).T
     rows, columns = np.rint(v).astype(int), np.rint(u).astype(int)
-    assert view.mask[rows, columns].mean() > 0.7
+    assert view.mask is not None and view.mask[rows, columns].mean() > 0.7
 
 
 def test_the_top_view_is_turned_upright(people, joints, tmp_path):

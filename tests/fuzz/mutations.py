@@ -275,7 +275,9 @@ def spoilt_hdf5(data: bytes, rng: Rng) -> bytes:
     held = io.BytesIO(data)
     with h5py.File(held, "r+") as file:
         name = _pick(list(file), rng)
-        values = file[name][()]  # pyright: ignore[reportIndexIssue]
+        stored = file[name]
+        assert isinstance(stored, h5py.Dataset)
+        values = stored[()]
         del file[name]
         match int(rng.integers(6)):
             case 0:

@@ -187,7 +187,7 @@ def _read_tracks(folder: Path) -> None:
 
 
 def _pose_samples(folder: Path) -> None:
-    from depthmocap.train.pose_samples import LABELS
+    from depthmocap.pose.labelled_view import LABELS
 
     arrays: dict[str, np.ndarray] = {"joints": np.zeros((4, 18, 3)), "groups": np.arange(4)}
     for labels in LABELS:
@@ -195,7 +195,7 @@ def _pose_samples(folder: Path) -> None:
         for kind, shape in (("features", (4, 1032)), ("targets", (4, 18, 3)), ("members", (4,))):
             arrays[f"{kind} {labels} 1"] = np.zeros(shape, np.float32 if kind != "members" else np.int64)
     for first in ("000000", "000100"):
-        np.savez(folder / f"{first}.npz", **arrays)  # pyright: ignore[reportArgumentType]
+        np.savez(folder / f"{first}.npz", **arrays)  # pyright: ignore[reportArgumentType] - none is called allow_pickle
 
 
 def _read_pose_samples(folder: Path) -> None:

@@ -22,12 +22,13 @@ def test_whatever_is_in_a_file_is_read_or_refused_in_one_line(reader: str, tmp_p
 
 
 def test_a_case_is_made_of_its_reader_seed_and_number_alone(tmp_path: Path) -> None:
-    contents = []
+    contents, whole = [], {}
     for i, numbers in enumerate([(3, 7), (7,)]):
         (tmp_path / str(i)).mkdir()
         cases = Cases("recording", tmp_path / str(i), seed=2)
+        whole = {path.name: data for path, data in cases._whole.items()}
         for number in numbers:
             cases.spoil(number)
         contents.append({path.name: path.read_bytes() for path in cases.folder.rglob("*") if path.is_file()})
     assert contents[0] == contents[1]
-    assert contents[0] != {path.name: data for path, data in cases._whole.items()}
+    assert contents[0] != whole

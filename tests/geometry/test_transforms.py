@@ -53,7 +53,7 @@ def test_look_at(eye: tuple[float, ...], target: tuple[float, ...], roll_rad: fl
     pose = look_at(np.array(eye), np.array(target), roll_rad)
     assert is_rigid(pose, 1e-9)
     target_camera = transform_points(rigid_inverse(pose), np.array(target))
-    distance = np.linalg.norm(np.subtract(eye, target))
+    distance = float(np.linalg.norm(np.subtract(eye, target)))
     np.testing.assert_allclose(target_camera, [0, 0, distance], atol=1e-12)
 
 

@@ -11,6 +11,7 @@ def test_demo(tmp_path):
     assert summary["frames"] == 67
     assert summary["gaps"] == 0
     assert summary["problems"] == []
+    assert summary["error"] is not None
     # Measured 1.09 cm and 99.9 %; wide of that, something has broken.
     assert summary["error"]["mean_joint_error_cm"] < 1.5
     assert summary["error"]["within_10cm"] > 0.99

@@ -33,12 +33,13 @@ def test_labels_have_the_inputs_size_and_mostly_the_truth(picture, tmp_path):
     chosen = settings(tmp_path, depth, fx=KINECT2.fx, preview=(tmp_path / "preview.png",))
     labels = label_image(chosen)
     written = cv2.imread(str(chosen.out), cv2.IMREAD_UNCHANGED)
-    assert written.dtype == np.uint8
+    assert written is not None and written.dtype == np.uint8
     assert written.shape == depth.shape
     assert (written == labels).all()
     assert (labels[truth == 0] == 0).all()
     assert (labels == truth)[truth > 0].mean() > 0.6
-    assert cv2.imread(str(tmp_path / "preview.png")).shape == (*depth.shape, 3)
+    preview = cv2.imread(str(tmp_path / "preview.png"))
+    assert preview is not None and preview.shape == (*depth.shape, 3)
     # Left and right are the subject's own: it faces the camera, so its right is on the picture's left.
     right = np.nonzero(labels == REGION["chest R"])[1].mean()
     assert right < np.nonzero(labels == REGION["chest L"])[1].mean()
@@ -113,7 +114,8 @@ def test_the_preview_beside_the_labels_is_not_the_input(tmp_path):
 
 def test_the_preview_may_be_any_picture(picture, tmp_path):
     label_image(settings(tmp_path, picture[0], preview=(tmp_path / "preview.jpg",)))
-    assert cv2.imread(str(tmp_path / "preview.jpg")).shape == (*picture[0].shape, 3)
+    preview = cv2.imread(str(tmp_path / "preview.jpg"))
+    assert preview is not None and preview.shape == (*picture[0].shape, 3)
 
 
 @pytest.mark.parametrize("value", [-3.0, 0.0, np.nan, np.inf])

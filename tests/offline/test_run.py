@@ -21,6 +21,7 @@ from depthmocap.exporting.summary import read_summary
 from depthmocap.geometry import DepthCamera, Rig, load_rig, look_at, save_rig
 from depthmocap.offline.run import _way_out
 from depthmocap.recordings.recording_writer import RecordingWriter
+from depthmocap.smooth.filters import Smoothing
 from depthmocap.synth.body.mesh import REST_POSTURE
 from depthmocap.synth.render import render_body
 
@@ -68,6 +69,7 @@ def test_run_writes_everything_and_finds_the_joints(recording, tmp_path):
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["frames"] == 6
     assert summary["gaps"] == 0
     assert summary["frames_by_camera"] == {"cam0": 6, "cam1": 6, "cam2": 6}
+    assert summary["error"] is not None
     # A clean rest pose seen from three sides: well within what the method reaches elsewhere.
     assert summary["error"]["mean_joint_error_cm"] < 8
     assert summary["error"]["within_10cm"] > 0.8
@@ -314,14 +316,15 @@ def test_missing_recording(tmp_path, capsys):
 
 
 def test_a_filter_that_waits_loses_no_frame_and_keeps_their_times(recording, tmp_path):
-    for name, frames in (("kalman", 2), ("fixed-lag", 2), ("fixed-lag", 9)):  # 9: more than the recording has
+    takes: tuple[tuple[Smoothing, int], ...] = (("kalman", 2), ("fixed-lag", 2), ("fixed-lag", 9))
+    for name, frames in takes:  # 9: more than the recording has
         out = tmp_path / f"{name} {frames}"
         settings = RunSettings(recording, out, segment="none", smooth=name, lag_frames=frames, report=False)
         summary = run(settings).summary
         times, joints, confidence = read_csv(out / "pose.csv")
         np.testing.assert_allclose(times, np.arange(6) * 0.1, atol=1e-6)
         assert np.isfinite(joints).all() and (confidence > 0).all()
-        assert summary["error"] is not None
+        assert summary["error"] is not None and summary["smoothing"] is not None
         assert summary["error"]["joints_observed"] == 6 * len(JOINTS)
         assert summary["error"]["mean_joint_error_cm"] < 8
         assert summary["smoothing"]["delay_frames"] == (frames if name == "fixed-lag" else 0)

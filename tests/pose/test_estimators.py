@@ -17,7 +17,7 @@ from depthmocap.pose.ridge import RidgeBank, RidgePose
 def make_model(views=0):
     """Puts every joint ``views`` metres above the centre of the cloud, whatever the features."""
     zeros = np.zeros((FEATURE_COUNT, 54), np.float32)
-    bias = np.tile(np.float32([0, 0, views]), 18)
+    bias = np.tile(np.array([0, 0, views], np.float32), 18)
     return RidgePose(zeros[:, 0], zeros[:, 0] + 1, zeros, bias, 1.0, views=views)
 
 

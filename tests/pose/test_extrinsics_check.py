@@ -3,6 +3,7 @@
 import dataclasses
 import importlib.resources
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from depthmocap.recordings.recording_writer import RecordingWriter
 NAMES = ("a", "b", "c", "d")
 
 
-def cloud(joints: dict[str, np.ndarray | None]) -> LabelledCloud:
+def cloud(joints: Mapping[str, np.ndarray | None]) -> LabelledCloud:
     cameras = tuple(DepthCamera(name, 32, 24, 30.0, 30.0, 16.0, 12.0) for name in joints)
     nothing = np.empty(0, np.float32)
     return LabelledCloud(

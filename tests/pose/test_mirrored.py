@@ -33,6 +33,7 @@ def part(
 
 
 def same(one: LabelledView, other: LabelledView) -> bool:
+    assert one.joints is not None and other.joints is not None
     return np.array_equal(one.labels, other.labels) and np.array_equal(one.joints, other.joints)
 
 
@@ -83,4 +84,5 @@ def test_the_cloud_has_them_put_right() -> None:
     cloud = merge_views(parts)
     right = merge_views([part(0, 0.8), part(1, 0.6), part(2, 0.5)])
     np.testing.assert_array_equal(cloud.labels, right.labels)
-    assert all(a is not None and np.array_equal(a, b) for a, b in zip(cloud.joints, right.joints, strict=True))
+    for a, b in zip(cloud.joints, right.joints, strict=True):
+        assert a is not None and b is not None and np.array_equal(a, b)

@@ -5,7 +5,7 @@ import pytest
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
-from depthmocap.pose.features import FEATURE_COUNT
+from depthmocap.pose.features import FEATURE_COUNT, FeatureFrame
 from depthmocap.pose.ridge import RidgeBank, RidgePose, fit_ridge, grouped_folds
 
 USED = 30
@@ -20,7 +20,7 @@ def make_data(rng, n=200, noise=0.0):
     return features, joints.reshape(n, 18, 3), np.arange(n) // 10
 
 
-def make_model(rng, views=0, frame="cloud"):
+def make_model(rng, views=0, frame: FeatureFrame = "cloud"):
     halves = (rng.standard_normal((FEATURE_COUNT, 54)) * 0.01).astype(np.float16)
     mean, scale = rng.standard_normal((2, FEATURE_COUNT)).astype(np.float32)
     bias = rng.standard_normal(54).astype(np.float32)

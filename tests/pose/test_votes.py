@@ -14,13 +14,14 @@ from depthmocap.pose.parts import ARMS, LEGS, MIRRORED, body_frame, network_inpu
 from depthmocap.pose.votes import VotesEstimator
 from depthmocap.synth.sample import Recipe, Sampler
 
-torch = pytest.importorskip("torch")
+pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-from onnx import TensorProto, helper  # noqa: E402
+import torch
+from onnx import TensorProto, helper
 
-from depthmocap.train.train_votes import augment, export_votes, tilt  # noqa: E402
-from depthmocap.train.votes_network import VotesNet  # noqa: E402
+from depthmocap.train.train_votes import augment, export_votes, tilt
+from depthmocap.train.votes_network import VotesNet
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +43,7 @@ def small_network():
     network = VotesNet(32, 1, 2).eval()
     # As after some training: a new one compares no cameras.
     for layer in (network.others.out, network.within.out, network.within.each[-1]):
+        assert isinstance(layer, torch.nn.Linear)
         layer.reset_parameters()
     return network
 
@@ -93,7 +95,7 @@ def test_augmented_samples_keep_a_camera_and_mirror_joints_with_regions(samples)
     changed, moved_joints = augment(rng, parts, joints)
     cameras = (changed[..., 0] > 0).any(-1).sum(1)
     assert set(np.unique(cameras)) == {1, 2, 3}
-    mirrored = ~np.isclose(moved_joints, joints).all((1, 2))
+    mirrored = ~np.all(np.isclose(moved_joints, joints), axis=(1, 2))
     assert 0.4 < mirrored.mean() < 0.6
     np.testing.assert_allclose(moved_joints[mirrored], (joints * [1, -1, 1])[mirrored][:, MIRROR])
     # A region of one side has the other one's points, but where a camera mistakes the sides.

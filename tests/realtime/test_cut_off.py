@@ -17,6 +17,7 @@ from depthmocap.cli import main
 from depthmocap.exporting import read_csv, read_trc
 from depthmocap.exporting.result_files import RESULT_FILES
 from depthmocap.offline import run as offline
+from depthmocap.offline.pipeline_settings import open_source
 from depthmocap.realtime import live_capture as live
 from depthmocap.realtime import live_command as command
 from depthmocap.recordings.recording_writer import RecordingWriter
@@ -113,7 +114,7 @@ def test_a_full_disk_is_one_line_and_leaves_whole_poses(recording, pipelines, tm
 
 def test_frames_are_let_go(recording, pipelines, monkeypatch, tmp_path):
     """Of a recording of any length so many are held at a time."""
-    source = offline.open_source(recording)
+    source = open_source(recording)
     alive, counted, most, read = weakref.WeakValueDictionary(), itertools.count(), 0, type(source).__iter__
 
     def frames(self):

@@ -1,6 +1,7 @@
 """Twenty seconds of everything that goes wrong with four cameras, in virtual time, through checks and synchroniser."""
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,14 +16,12 @@ from depthmocap.recordings.recording import Recording
 from depthmocap.recordings.recording_writer import RecordingWriter
 
 #: Each camera has its own trouble, and all lose frames, are late and drift.
-COMMON = {"loss": 0.05, "jitter_ms": 10.0}
+COMMON = Faults(loss=0.05, jitter_ms=10.0)
 FAULTS = {
-    "cam0": Faults(
-        drift_ppm=200.0, offset_s=7.0, frozen=((4.0, 6.0),), stuck=((10.0, 13.0),), duplicate=0.05, **COMMON
-    ),
-    "cam1": Faults(offset_s=60.0, drift_ppm=-200.0, unplugged=((5.0, 9.0),), reorder=0.03, **COMMON),
-    "cam2": Faults(jumps=((7.0, -50.0), (14.0, 1e5)), garbage=((3.0, 4.0),), **COMMON),
-    "cam3": Faults(offset_s=-1000.0, dark=((11.0, 12.0),), **COMMON),
+    "cam0": replace(COMMON, drift_ppm=200.0, offset_s=7.0, frozen=((4.0, 6.0),), stuck=((10.0, 13.0),), duplicate=0.05),
+    "cam1": replace(COMMON, offset_s=60.0, drift_ppm=-200.0, unplugged=((5.0, 9.0),), reorder=0.03),
+    "cam2": replace(COMMON, jumps=((7.0, -50.0), (14.0, 1e5)), garbage=((3.0, 4.0),)),
+    "cam3": replace(COMMON, offset_s=-1000.0, dark=((11.0, 12.0),)),
 }
 
 

@@ -21,7 +21,7 @@ from depthmocap.realtime.live_command import LiveSettings, run_live
 from depthmocap.recordings.convert import ConvertSettings, convert
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.recordings.recording_writer import RecordingWriter
-from depthmocap.smooth.filters import load_filter
+from depthmocap.smooth.filters import Bones, load_filter
 
 SETS = 30
 
@@ -143,10 +143,13 @@ def test_bones_are_steady_or_free(recording, tmp_path, monkeypatch, virtual, rea
         return fake_pipeline(load_filter("kalman", bones=given[-1]))
 
     use_pipelines(monkeypatch, load)
-    free, steady = (
-        run_live(LiveSettings((recording,), realtime=realtime, bones=bones)).summary["smoothing"]["bones"]
-        for bones in ("free", "steady")
-    )
+
+    def bones_told(bones: Bones) -> object:
+        smoothing = run_live(LiveSettings((recording,), realtime=realtime, bones=bones)).summary["smoothing"]
+        assert smoothing is not None
+        return smoothing["bones"]
+
+    free, steady = bones_told("free"), bones_told("steady")
     # In real time each is made once more before cameras are opened, to compile what it needs.
     assert (given[::2] if realtime else given, free) == (["free", "steady"], None)
     assert steady is not None
@@ -163,7 +166,7 @@ def test_it_ends_in_time_even_if_no_camera_delivers(recording, monkeypatch, virt
         monkeypatch.setattr(command, "make_sources", sources)
     summary = run_live(LiveSettings((recording,), realtime=realtime, seconds=5.0)).summary
     assert summary["frames"] > 5
-    assert summary["seconds"] < 6
+    assert summary["seconds"] is not None and summary["seconds"] < 6
 
 
 def test_what_it_takes_to_be_ready_is_told_and_waited_for(recording, monkeypatch, virtual):

@@ -74,9 +74,9 @@ def recorded(
 ) -> tuple[dict[str, Any], list[str]]:
     """What ``record`` returns of these sources, and the lines that it prints."""
     monkeypatch.setattr(record_module, "make_sources", lambda *arguments: sources)
-    console = Terminal(file=io.StringIO(), width=200)
-    told = record(RecordSettings(("x",), path, seconds=seconds), console)
-    return told, console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    printed = io.StringIO()
+    told = record(RecordSettings(("x",), path, seconds=seconds), Terminal(file=printed, width=200))
+    return told, printed.getvalue().splitlines()
 
 
 def test_a_camera_whose_sdk_fails_is_told_and_goes_on(
@@ -119,11 +119,11 @@ def test_what_is_found_while_a_recording_is_read_is_told(monkeypatch: pytest.Mon
             writer.write(10**9 + i * 20_000_000, {"cam0": np.full((6, 8), 100 + i, np.uint16)})
     damaged = sorted((tmp_path / "rec" / "cam0").glob("*.png"))[3]
     damaged.write_bytes(damaged.read_bytes()[:40])
-    console = Terminal(file=io.StringIO(), width=300)
-    told = record(RecordSettings((str(tmp_path / "rec"),), tmp_path / "x.mcap"), console)
+    printed = io.StringIO()
+    told = record(RecordSettings((str(tmp_path / "rec"),), tmp_path / "x.mcap"), Terminal(file=printed, width=300))
     assert (told["frames"], told["lost"], told["states"]) == ({"cam0": 5}, {"cam0": 1}, {"cam0": ENDED})
     assert [times for line, times in told["problems"].items() if damaged.name in line] == [1], told["problems"]
-    assert damaged.name in console.file.getvalue()  # type: ignore[attr-defined]
+    assert damaged.name in printed.getvalue()
 
 
 def test_a_source_that_still_opens_is_not_a_dead_one(
@@ -197,7 +197,7 @@ def test_what_is_known_stays_as_it_was_when_it_was_taken(virtual: VirtualTime) -
     assert heard.cameras == ["a", "b"]
     assert heard.frames.count("b") == 5
     with pytest.raises(TypeError):
-        later["c"] = later["a"]  # type: ignore[index]
+        later["c"] = later["a"]  # pyright: ignore[reportIndexIssue] - what it shall refuse
     with pytest.raises(InputError, match="'c' cannot be added any more: reading was stopped"):
         readers.add(Camera("c", virtual))
 

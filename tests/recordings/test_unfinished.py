@@ -8,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -110,8 +111,8 @@ def test_a_copy_that_met_a_full_disk_or_was_interrupted(
 
     write = RecordingWriter.write
 
-    def interrupted(self: RecordingWriter, stamp: int, *rest: object) -> None:
-        write(self, stamp, *rest)  # type: ignore[arg-type]
+    def interrupted(self: RecordingWriter, stamp: int, *rest: Any) -> None:
+        write(self, stamp, *rest)
         if stamp > 10**18 + 10**8:
             signal.raise_signal(signal.SIGTERM)
 

@@ -16,7 +16,7 @@ HOSTILE = "<b>$\\frac{$</b>\x1b[2J\0\udcff"
 
 def test_a_calibration_is_drawn_with_any_names() -> None:
     points = np.random.default_rng(0).normal(size=(50, 3))
-    clouds = dict.fromkeys(("$\\frac{$", "$x$", "_left", "カメラ", "[x]"), points)
+    clouds: dict[str, np.ndarray] = dict.fromkeys(("$\\frac{$", "$x$", "_left", "カメラ", "[x]"), points)
     assert draw_clouds(clouds, [np.eye(4)] * 5, None).startswith(b"\x89PNG")
 
 

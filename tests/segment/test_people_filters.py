@@ -17,8 +17,9 @@ CAMERA = DepthCamera("a", 4, 3, 5.0, 5.0, 1.5, 1.0)
 class Numbers:
     """Gives the people that it is told, whatever is in the views."""
 
-    people = 2
-    present: tuple[int, ...] = ()
+    def __init__(self) -> None:
+        self.people, self.problems = 2, []
+        self.present: tuple[int, ...] = ()
 
     def __call__(self, frames: FrameSet) -> tuple[PersonMasks, ...]:
         return tuple(PersonMasks(number, (np.ones((3, 4), bool),)) for number in self.present)
@@ -30,17 +31,17 @@ class Numbers:
 class Anywhere:
     """Labels nothing, and takes all joints to be in one place."""
 
-    def label_views(self, views, masks, *turned):
+    def label_views(self, views, masks, up=None):
         nothing = ViewPrediction(np.zeros((3, 4), np.uint8), np.zeros((3, 4), np.float32), np.full((18, 4), np.nan))
         return [nothing for _ in masks]
 
-    def __call__(self, cloud, up):
+    def __call__(self, cloud, up="z"):
         return np.zeros((18, 3)), np.ones(18)
 
 
 def test_every_pose_is_final_once_and_filters_of_who_has_gone_are_put_away() -> None:
     segment = Numbers()
-    pipeline = Pipeline(Anywhere(), Anywhere(), segment, "z", FixedLag(FixedLagSettings(LAG)))  # type: ignore
+    pipeline = Pipeline(Anywhere(), Anywhere(), segment, "z", FixedLag(FixedLagSettings(LAG)))
     given: dict[int, list[int]] = {}
     final: dict[int, list[Pose]] = {}
     most = 0

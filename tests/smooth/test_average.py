@@ -132,8 +132,9 @@ def test_bad_sequences_are_refused():
 @pytest.mark.parametrize("rate", [30, 60, 90])
 def test_an_average_by_time_lags_alike_at_any_frame_rate(rate):
     average = Average()
-    for i in range(20):
-        smoothed = average(Pose(round(i / rate * 1e9), np.full((18, 3), i / rate), np.ones(18))).joints
+    for i in range(19):
+        average(Pose(round(i / rate * 1e9), np.full((18, 3), i / rate), np.ones(18)))
+    smoothed = average(Pose(round(19 / rate * 1e9), np.full((18, 3), 19 / rate), np.ones(18))).joints
     assert 19 / rate - smoothed[0, 0] == pytest.approx(average.latency_s)
     # At 90 frames a second the oldest of them is not old enough to have lost all weight.
     assert 0.015 < average.latency_s < 0.035

@@ -13,7 +13,7 @@ from depthmocap.segment.people_segmenter import PeopleSegmenter
 class FakeClassifier:
     """Everything is region 1."""
 
-    def label_views(self, views, masks, up="z"):
+    def label_views(self, views, masks, up=None):
         return [
             ViewPrediction(mask.astype(np.uint8), mask.astype(np.float32), np.full((18, 4), np.nan)) for mask in masks
         ]
@@ -30,7 +30,7 @@ class FakeEstimator:
 
 def fake_pipeline(smoothing=None, people=1):
     segment = PeopleSegmenter({}, mode="none", people=people)
-    return Pipeline(FakeClassifier(), FakeEstimator(), segment, "z", smoothing)  # type: ignore
+    return Pipeline(FakeClassifier(), FakeEstimator(), segment, "z", smoothing)
 
 
 class Board:

@@ -214,11 +214,11 @@ def test_front_and_back_of_a_person(default_body: Body) -> None:
 
 
 def test_body_behind_or_around_the_camera(posed: PosedBody) -> None:
-    centre = tuple(float(x) for x in posed.vertices.mean(0))
+    x, y, z = posed.vertices.mean(0).tolist()
     depth, labels = render_body(posed, camera_at((0, -3, 0), (0, -6, 0)))
     assert not depth.any()
     assert not labels.any()
-    depth, _ = render_body(posed, camera_at(centre, (centre[0], centre[1] - 2, centre[2])))
+    depth, _ = render_body(posed, camera_at((x, y, z), (x, y - 2, z)))
     assert (depth[depth > 0] > NEAR_M).all()
 
 

@@ -24,8 +24,9 @@ from depthmocap.train import train_classifier as train  # noqa: E402
 from depthmocap.train.ablations import ABLATIONS, AblationTraining, train_ablations  # noqa: E402
 from depthmocap.train.batches import Ingredient, WindowSource, training_batches  # noqa: E402
 from depthmocap.train.checkpoints import load_weights  # noqa: E402
+from depthmocap.train.classifier_settings import ClassifierTraining  # noqa: E402
 from depthmocap.train.networks import FastNet  # noqa: E402
-from depthmocap.train.train_classifier import ClassifierTraining, make_network, train_classifier  # noqa: E402
+from depthmocap.train.train_classifier import make_network, train_classifier  # noqa: E402
 
 QUIET = Console(quiet=True)
 
@@ -61,9 +62,9 @@ def test_pictures_lack_what_they_shall(body_model: BodyModel) -> None:
         data = source(*without).train()
         return [data[i] for i in range(6)]
 
-    full, bare, exact, spared, recorded = (
-        pictures(*each) for each in ((), ("clothes",), ("errors",), ("spoiling",), ("variation",))
-    )
+    ingredients: tuple[Ingredient, ...] = ("clothes", "errors", "spoiling", "variation")
+    full = pictures()
+    bare, exact, spared, recorded = (pictures(each) for each in ingredients)
     # Whatever lacks is another picture ...
     for others in (bare, exact, spared, recorded):
         assert any(

@@ -39,8 +39,8 @@ def test_a_wider_window_shows_the_same(window: LabelledWindow) -> None:
     assert (wide.labels != UNLABELLED).sum() == (window.labels != UNLABELLED).sum()
     # Joints lie about the middle, so that a network which votes from nowhere else finds them at the same place.
     network = FastNet().eval()
-    torch.nn.init.zeros_(network.joint_votes[-1].weight)  # pyright: ignore[reportArgumentType]
-    torch.nn.init.zeros_(network.joint_votes[-1].bias)  # pyright: ignore[reportArgumentType]
+    for parameter in network.joint_votes[-1].parameters():
+        torch.nn.init.zeros_(parameter)
     with torch.no_grad():
         places = [
             masked_outputs(network, x, y, x[:, 1] > 0)[2]

@@ -19,9 +19,9 @@ from depthmocap.errors import InputError  # noqa: E402
 from depthmocap.synth.body.mesh import BodyModel  # noqa: E402
 from depthmocap.train import curriculum  # noqa: E402
 from depthmocap.train.checkpoints import load_weights  # noqa: E402
+from depthmocap.train.classifier_settings import ClassifierTraining  # noqa: E402
 from depthmocap.train.curriculum import STAGES, CurriculumTraining, train_curriculum  # noqa: E402
 from depthmocap.train.paper_network import PaperNet  # noqa: E402
-from depthmocap.train.train_classifier import ClassifierTraining  # noqa: E402
 
 QUIET = Console(quiet=True)
 #: The label that the quick training favours, by subset, so that networks can be told apart.

@@ -7,9 +7,11 @@ import pytest
 
 from depthmocap.kernels.head import label_groups
 
-torch = pytest.importorskip("torch")
+pytest.importorskip("torch")
 
-from depthmocap.train.networks import (  # noqa: E402
+import torch
+
+from depthmocap.train.networks import (
     CLASSES,
     FastNet,
     _Groups,
@@ -114,6 +116,7 @@ def test_pixel_of_a_group(row: int, column: int) -> None:
     network = small_network()
     with torch.no_grad():
         network.head.weight.zero_()
+        assert network.head.bias is not None
         network.head.bias.zero_()
         network.head.bias[CLASSES * (2 * row + column) + 7] = 1
     mask = torch.zeros(1, 32, 32, dtype=torch.bool)
@@ -147,11 +150,11 @@ def test_gradient_reaches_every_parameter() -> None:
 def test_cells_that_show_the_person_vote_for_joints() -> None:
     network = small_network()
     with torch.no_grad():
-        for parameter in network.joint_votes[1].parameters():
+        votes = network.joint_votes[1]
+        assert isinstance(votes, torch.nn.Conv2d) and votes.bias is not None
+        for parameter in votes.parameters():
             parameter.zero_()
-        network.joint_votes[1].bias.view(18, 5)[4] = torch.tensor(
-            [0, 0, 1.0, 0, -2.0]
-        )  # of joint 4: 0.3 m farther down
+        votes.bias.view(18, 5)[4] = torch.tensor([0, 0, 1.0, 0, -2.0])  # of joint 4: 0.3 m farther down
     x = torch.zeros(1, 3, 64, 64)
     x[0, 2] = 1  # a pixel is 2 cm
     x[0, 1, 8:16, 40:48] = 1  # one cell, of which half a row is not the person

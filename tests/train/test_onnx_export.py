@@ -72,6 +72,13 @@ def exported(request: pytest.FixtureRequest) -> tuple[FastNet, Path]:
     return request.getfixturevalue(request.param)
 
 
+def run(path: Path, windows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Probabilities and joints."""
+    probabilities, joints = session(path).run(["probabilities", "joints"], {"windows": windows})
+    assert isinstance(probabilities, np.ndarray) and isinstance(joints, np.ndarray)
+    return probabilities, joints
+
+
 def session(path: Path) -> onnxruntime.InferenceSession:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
@@ -87,7 +94,7 @@ def test_same_probabilities_labels_and_joints(
     windows[:, 1] = (windows[:, 1] > 1).float()
     with torch.no_grad():
         expected, places = (each.numpy() for each in network.eval()(windows))
-    actual, joints = session(path).run(["probabilities", "joints"], {"windows": windows.numpy()})
+    actual, joints = run(path, windows.numpy())
     np.testing.assert_allclose(joints, places, atol=2e-2)
     assert actual.dtype == np.float32
     assert actual.shape == expected.shape == (len(expected), 4, CLASSES)
@@ -97,7 +104,7 @@ def test_same_probabilities_labels_and_joints(
 
 
 def test_nobody(exported: tuple[FastNet, Path]) -> None:
-    probabilities, joints = session(exported[1]).run(None, {"windows": np.zeros((2, 3, WINDOW, WINDOW), np.float32)})
+    probabilities, joints = run(exported[1], np.zeros((2, 3, WINDOW, WINDOW), np.float32))
     assert probabilities.shape == (0, 4, CLASSES)
     assert np.isfinite(joints).all()
 

@@ -21,10 +21,10 @@ from depthmocap.errors import InputError  # noqa: E402
 from depthmocap.synth.body.mesh import BodyModel  # noqa: E402
 from depthmocap.train.batches import WindowSource  # noqa: E402
 from depthmocap.train.checkpoints import load_weights  # noqa: E402
+from depthmocap.train.classifier_settings import ClassifierTraining  # noqa: E402
 from depthmocap.train.networks import FastNet  # noqa: E402
 from depthmocap.train.paper_network import PaperNet  # noqa: E402
 from depthmocap.train.train_classifier import (  # noqa: E402
-    ClassifierTraining,
     _make_optimiser,
     evaluate_windows,
     joint_loss,

@@ -98,4 +98,6 @@ def _text(value: object) -> str:
 
 def _listed(values: Iterable[object]) -> str:
     """Each value once, sorted, as a user types it."""
-    return ", ".join(_text(value) for value in sorted({value for value in values if value}))  # type: ignore[type-var]
+    known = {value for value in values if value}
+    in_order = sorted(known, key=lambda value: value if isinstance(value, tuple) else (value,))
+    return ", ".join(_text(value) for value in in_order)

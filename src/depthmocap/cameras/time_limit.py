@@ -23,19 +23,21 @@ def call_with_timeout(limit_s: float, call: Callable[[], _Result], undo: Callabl
     Raises:
         CallTimeoutError: when it did not return in time.
     """
-    outcome: list[tuple[_Result, None] | tuple[None, BaseException]] = []
+    results: list[_Result] = []
+    errors: list[BaseException] = []
     timed_out, lock = False, threading.Lock()
 
     def run() -> None:
         try:
-            result = call(), None
+            result = call()
         except BaseException as raised:  # raised again where it was called
-            result = None, raised
+            errors.append(raised)
+            return
         with lock:
-            outcome.append(result)
+            results.append(result)
             if not timed_out:
                 return
-        if result[1] is None and undo is not None:
+        if undo is not None:
             undo()
 
     # A daemon, because a call that never returns must not keep the process alive.
@@ -45,10 +47,9 @@ def call_with_timeout(limit_s: float, call: Callable[[], _Result], undo: Callabl
         thread.join(limit_s)
     finally:  # Ctrl-C as well
         with lock:
-            timed_out = not outcome
+            timed_out = not (results or errors)
     if timed_out:
         raise CallTimeoutError(thread)
-    result, error = outcome[0]
-    if error is not None:
-        raise error
-    return result  # type: ignore[return-value]
+    if errors:
+        raise errors[0]
+    return results[0]

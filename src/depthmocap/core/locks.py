@@ -169,7 +169,7 @@ def _try_lock(file: BinaryIO, what: Path) -> bool:
 
         try:
             file.seek(1 << 20)
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)  # pyright: ignore[reportAttributeAccessIssue]
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)  # pyright: ignore[reportAttributeAccessIssue] - of Windows
         except OSError:
             return False
         file.seek(0)

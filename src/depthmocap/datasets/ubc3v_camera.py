@@ -151,5 +151,7 @@ def _image(field: ndarray, size: tuple[int, int]) -> ndarray | None:
 def _without_holes(table: ndarray) -> ndarray:
     """The table with its non-finite rays filled, smoothly, so that ``project`` can invert it there too."""
     holes = ~np.isfinite(table).all(-1)
-    v, u = distance_transform_edt(holes, return_distances=False, return_indices=True)  # pyright: ignore[reportGeneralTypeIssues]
+    nearest = distance_transform_edt(holes, return_distances=False, return_indices=True)
+    assert isinstance(nearest, ndarray)
+    v, u = nearest
     return KINECT2.rays + (table - KINECT2.rays)[v, u]

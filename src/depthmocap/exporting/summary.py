@@ -10,7 +10,7 @@ import json
 import platform
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypedDict
+from typing import Any, Literal, TypedDict, cast
 
 import numpy as np
 from jaxtyping import Bool
@@ -210,8 +210,7 @@ def make_summary(take: Take, numbers: Mapping[str, Any], person: int | None = No
         "error": None,
         "problems": [{"text": text, "times": times} for text, times in problems.items()],
     }
-    summary.update(known)  # type: ignore[typeddict-item]
-    return plain_json(summary)
+    return plain_json({**summary, **known})
 
 
 def write_summary(folder: Path, summary: Summary) -> None:
@@ -252,7 +251,7 @@ def check_summary(path: Path, document: Any) -> Summary:
         raise InputError(f"{path} has the schema {schema!r}, and this version reads {SCHEMA}: run it again")
     if absent := [key for key in Summary.__annotations__ if key not in document]:
         raise InputError(f"{path} lacks {', '.join(absent[:4])}: it was changed since it was written; run it again")
-    return document  # type: ignore[return-value]
+    return cast(Summary, document)
 
 
 def count_problems(*lists: Iterable[str]) -> collections.Counter[str]:

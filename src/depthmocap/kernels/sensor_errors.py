@@ -299,12 +299,12 @@ def simulate_readings(
                 if nearest <= 0 or nearest < true_depth - edge or farthest > true_depth + edge:
                     chance = _random_bits(seed + 2, index)
                     flies = _uniform(chance, 0) < terms.flying
-                if flies:
-                    far = farthest if farthest > z + edge else z + np.float32(terms.behind_m)
-                    if 0 < nearest < z - edge:
-                        far, z = z, nearest
-                    # The near surface returns more light: mixed depths are mostly near it.
-                    z += np.float32(_uniform(chance, 1) ** 2) * np.float32(far - z)
+                    if flies:
+                        far = farthest if farthest > z + edge else z + np.float32(terms.behind_m)
+                        if 0 < nearest < z - edge:
+                            far, z = z, nearest
+                        # The near surface returns more light: mixed depths are mostly near it.
+                        z += np.float32(_uniform(chance, 1) ** 2) * np.float32(far - z)
                 lost = False
                 norm = np.float32(1) / np.sqrt(gu * gu + gv * gv + np.float32(1e-6))
                 gu, gv = gu * norm, gv * norm

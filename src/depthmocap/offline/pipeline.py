@@ -9,14 +9,15 @@ from __future__ import annotations
 import copy
 import dataclasses
 import time
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, UInt8
 from numpy import ndarray
 
-from depthmocap.classify.classifier import Classifier, ViewPrediction
-from depthmocap.frames import FrameSet, Pose
+from depthmocap.classify.classifier import ViewPrediction
+from depthmocap.frames import FrameSet, Pose, View
 from depthmocap.pose.cloud import LabelledCloud, merge_views
 from depthmocap.pose.estimators import JointEstimator
 from depthmocap.pose.labelled_view import LabelledView
@@ -24,6 +25,16 @@ from depthmocap.segment.people_segmenter import PersonMasks
 from depthmocap.smooth.pose_filter import MAX_GAP_S, PoseFilter
 
 STAGES = ("segment", "label", "merge", "joints", "smooth")
+
+
+class ViewClassifier(Protocol):
+    """Labels what is in the masks of views; see ``Classifier``."""
+
+    def label_views(
+        self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]], up: str | None = None
+    ) -> list[ViewPrediction]:
+        """The labels of the views, in order; ``up`` is the world's up axis if known."""
+        ...
 
 
 class Segmenter(Protocol):
@@ -101,7 +112,7 @@ class Pipeline:
 
     def __init__(
         self,
-        classifier: Classifier,
+        classifier: ViewClassifier,
         estimator: JointEstimator,
         segment: Segmenter,
         up: str = "z",

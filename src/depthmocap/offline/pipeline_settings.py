@@ -14,7 +14,8 @@ from depthmocap.offline.pipeline import Pipeline
 from depthmocap.pose.estimators import load_estimator
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.recordings.recording import Recording
-from depthmocap.segment.people_segmenter import Mode, PeopleSegmenter
+from depthmocap.segment.people_segmenter import PeopleSegmenter
+from depthmocap.segment.static_scene import Mode
 from depthmocap.smooth.filters import AUTO, Bones, Smoothing, load_filter
 
 

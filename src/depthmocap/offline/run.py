@@ -32,7 +32,7 @@ from depthmocap.offline.run_report import Pictures, write_run_report
 from depthmocap.pose.extrinsics_check import ExtrinsicsCheck
 from depthmocap.recordings.recording import Recording
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
-from depthmocap.segment.people_segmenter import Mode
+from depthmocap.segment.static_scene import Mode
 from depthmocap.text import camera_list, joined
 
 

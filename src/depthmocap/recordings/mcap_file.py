@@ -159,7 +159,7 @@ class McapFile:
                 with zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK).stream_reader(packed) as stream:
                     records = stream.read(size + 1)
             elif compression == "lz4":
-                import lz4.frame  # pyright: ignore[reportMissingTypeStubs]
+                import lz4.frame
 
                 records = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
             else:

@@ -296,7 +296,9 @@ class McapRecording(Recording):
 def _true_joints(document: Any, where: str) -> tuple[int, Float[ndarray, "18 3"]]:
     """Time (ns) and joints of a message."""
     joints = document.get("joints") if isinstance(document, dict) else None
-    if not isinstance(joints, dict) or (absent := [joint for joint in JOINTS if joint not in joints]):
-        raise InputError(f"{where} lack {absent[0] if isinstance(joints, dict) else 'all joints'}")
+    if not isinstance(joints, dict):
+        raise InputError(f"{where} lack all joints")
+    if absent := [joint for joint in JOINTS if joint not in joints]:
+        raise InputError(f"{where} lack {absent[0]}")
     time_ns = whole_number(document.get("timestamp_ns"), f"{where}: timestamp_ns")
     return time_ns, array([joints[joint] for joint in JOINTS], (len(JOINTS), 3), where, unknown=True)

@@ -143,7 +143,7 @@ def confusion_picture(confusion: Integer[ndarray, "44 44"]) -> bytes:
     bar = figure.colorbar(image, ax=axes, shrink=0.5, pad=0.01, ticks=np.sqrt([0, 0.01, 0.1, 0.25, 0.5, 1]))
     bar.ax.set_yticklabels(["0", "1 %", "10 %", "25 %", "50 %", "100 %"])
     bar.ax.tick_params(colors=SOFT, labelsize=8)
-    bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
+    bar.outline.set_visible(False)
     return as_png(figure)
 
 

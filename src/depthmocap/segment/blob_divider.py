@@ -10,7 +10,8 @@ from numpy import ndarray
 
 from depthmocap.kernels.segmentation import divide_voxels, fill_volume, mark_voxels, measure_divided
 from depthmocap.segment.occupancy_map import CELL_M, Blobs, Foreground, OccupancyMap, extents
-from depthmocap.segment.tracking import BlobPart, SharedBlob, Track
+from depthmocap.segment.track import Track
+from depthmocap.segment.tracking import BlobPart, SharedBlob
 
 #: Voxels this near to a person's predicted position (metres) are theirs.
 CORE_M = 0.15

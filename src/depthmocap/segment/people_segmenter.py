@@ -19,7 +19,8 @@ from depthmocap.segment.blob_divider import BlobDivider
 from depthmocap.segment.floor import find_floor
 from depthmocap.segment.occupancy_map import Foreground, OccupancyMap
 from depthmocap.segment.static_scene import Mode, PersonSegmenter
-from depthmocap.segment.tracking import PeopleTracker, Track
+from depthmocap.segment.track import Track
+from depthmocap.segment.tracking import PeopleTracker
 
 #: Pixels in front of an unknown background count this near to a tracked person (metres).
 UNCERTAIN_NEAR_PEOPLE_M = 0.6

@@ -120,7 +120,7 @@ def collect(settings: PoseSampleSettings, folder: Path, console: Console | None 
                     progress.advance(task)
                 if rows:
                     with atomic_write(file) as unfinished:
-                        np.savez(unfinished, **_stack(rows))  # pyright: ignore[reportArgumentType]
+                        np.savez(unfinished, **_stack(rows))  # pyright: ignore[reportArgumentType] - none is allow_pickle
     return _read([file for file in files if file.exists()], settings)
 
 

@@ -58,7 +58,7 @@ def quantise(source: Path, windows: Sequence[Float32[ndarray, "3 _ _"]], path: P
         def __init__(self) -> None:
             self._open = iter(windows)
 
-        def get_next(self) -> dict[str, ndarray] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        def get_next(self) -> dict[str, ndarray] | None:  # pyright: ignore[reportIncompatibleMethodOverride] - None ends it
             window = next(self._open, None)
             return None if window is None else {"windows": window[None]}
 

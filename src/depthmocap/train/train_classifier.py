@@ -32,8 +32,9 @@ from depthmocap.report.metrics import PixelAccuracy
 from depthmocap.train.batches import Batches, LabelledBatch, sorted_batches, training_batches
 from depthmocap.train.checkpoints import blend_weights, load_weights, read_checkpoint
 from depthmocap.train.classifier_settings import ClassifierTraining, Optimiser
-from depthmocap.train.networks import FastNet, Network, PaperNet, masked_outputs
+from depthmocap.train.networks import FastNet, Network, masked_outputs
 from depthmocap.train.onnx_export import export_onnx
+from depthmocap.train.paper_network import PaperNet
 from depthmocap.train.precision import in_bfloat16
 from depthmocap.train.quantise import quantise
 from depthmocap.train.windows import LabelledWindow
@@ -143,7 +144,8 @@ class _Run:
         self._checkpoint = settings.out / "checkpoint.pt"
         torch.manual_seed(settings.seed)
         self.network = make_network(settings)
-        self.network.to(settings.device).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+        self.network.to(settings.device)
+        self.network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue] - the stub lacks it alone
         if settings.start is not None:
             load_weights(self.network, settings.start)
         self._average = AveragedModel(

@@ -70,7 +70,7 @@ def train_pose(settings: PoseTraining, console: Console | None = None) -> list[P
     """
     if settings.estimators != "ridge":
         try:
-            import torch  # noqa: F401  # pyright: ignore[reportUnusedImport]
+            import torch  # noqa: F401
         except ModuleNotFoundError:
             raise missing_extra("torch", "train") from None
     console = console or Terminal(stderr=True)

@@ -90,8 +90,9 @@ class VotesNet(nn.Module):
         self.within = _Block(width, heads)
         # At first, the comparisons change nothing.
         for layer in (self.others.out, self.within.out, self.within.each[-1]):
-            nn.init.zeros_(layer.weight)  # pyright: ignore[reportArgumentType]
-            nn.init.zeros_(layer.bias)  # pyright: ignore[reportArgumentType]
+            assert isinstance(layer, nn.Linear)
+            nn.init.zeros_(layer.weight)
+            nn.init.zeros_(layer.bias)
         self.view = nn.Sequential(nn.GELU(), nn.Linear(width, width))
         self.trust = nn.Sequential(nn.GELU(), nn.Linear(width, 1))
         self.unseen = nn.Parameter(torch.randn(PART_COUNT, width) * 0.1)

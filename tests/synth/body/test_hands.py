@@ -10,7 +10,7 @@ from depthmocap.synth.body.bones import POSTURE_INDEX
 from depthmocap.synth.body.hands import Grip, random_grip, with_hands
 from depthmocap.synth.body.mesh import REST_POSTURE, Body, BodyModel
 
-OPEN, FIST = Grip(), Grip((1.0,) * 5)
+OPEN, FIST = Grip(), Grip((1.0, 1.0, 1.0, 1.0, 1.0))
 
 
 def hand_vertices(model: BodyModel, side: str) -> np.ndarray:

@@ -10,6 +10,7 @@ from depthmocap.synth.body.bones import POSTURE_INDEX, world_rotations
 from depthmocap.synth.body.mesh import REST_POSTURE, Body
 from depthmocap.synth.motion.extreme_postures import (
     FAMILIES,
+    Family,
     capsule_points,
     extreme_posture,
     rest_on_floor,
@@ -21,9 +22,9 @@ from depthmocap.synth.motion.postures import TRAINING_VARIATION, PosturePrior, V
 PRIOR = PosturePrior.load()
 
 
-def drawn(count: int, family: str | None = None) -> np.ndarray:
+def drawn(count: int, family: Family | None = None) -> np.ndarray:
     rng = np.random.default_rng(4)
-    return np.stack([extreme_posture(PRIOR.sample(rng)[0], rng, family) for _ in range(count)])  # pyright: ignore
+    return np.stack([extreme_posture(PRIOR.sample(rng)[0], rng, family) for _ in range(count)])
 
 
 def test_within_limits_and_not_through_themselves() -> None:
@@ -63,7 +64,7 @@ def test_who_lies_on_the_floor_stays_lying() -> None:
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_families(default_body: Body, family: str) -> None:
+def test_families(default_body: Body, family: Family) -> None:
     heights = []
     for posture in drawn(12, family):
         body = default_body.pose(posture)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from depthmocap.synth.body.bones import POSTURE_INDEX, heading, mirror_posture
 from depthmocap.synth.motion import pool_build
 from depthmocap.synth.motion.cover import Cover, farthest_points
 from depthmocap.synth.motion.limits import LIMITS_DEG, bone_axis, swing_twist, within_limits
-from depthmocap.synth.motion.mocap import SPLITS, Clip, SkippedClip, split_of, without_heading
+from depthmocap.synth.motion.mocap import SPLITS, Clip, ClipFolder, SkippedClip, split_of, without_heading
 from depthmocap.synth.motion.pool import KINDS, PosturePool
 from depthmocap.synth.motion.pool_build import PoolBuild, build_pool
 from depthmocap.synth.motion.postures import UPPER_BONES, ClipPostures, Variation, joint_positions, posture_source
@@ -231,12 +232,12 @@ class FakeFolder:
 
 @pytest.fixture
 def clips(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool_build.ClipFolder, "open", lambda *_: FakeFolder())
+    monkeypatch.setattr(ClipFolder, "open", lambda *_: FakeFolder())
     monkeypatch.setattr(pool_build, "anny_rest", dict)
 
 
-def build(out: Path, **options: object) -> PosturePool:
-    build_pool(PoolBuild(Path("clips"), out, **options))  # type: ignore[arg-type]
+def build(out: Path, **options: Any) -> PosturePool:
+    build_pool(PoolBuild(Path("clips"), out, **options))
     return PosturePool.load(out)
 
 

@@ -15,7 +15,7 @@ from depthmocap.synth.body.bones import mirror_posture
 from depthmocap.synth.body.mesh import BodyModel
 from depthmocap.synth.demo_scene import LEARNT_CAMERA, ROOM, demo_body, demo_frames, demo_rig, write_demo
 from depthmocap.synth.motion import sequence
-from depthmocap.synth.motion.perform import Motion, pose_sequence
+from depthmocap.synth.motion.perform import Motion, Step, pose_sequence
 from depthmocap.synth.motion.sequence import DEMO_SECONDS, demo_motion
 from depthmocap.synth.people.garments import DressedBody
 from depthmocap.synth.render import PosedPerson
@@ -118,8 +118,8 @@ def test_left_and_right_are_treated_alike(body: DressedBody, monkeypatch: pytest
         for name, keys in sequence._SCORE.items()
     }
     steps = [
-        sequence.Step(other[s.side], s.start_s, s.end_s, (-s.place[0], s.place[1]), -s.yaw_deg, s.detour, s.toes_deg,
-                       s.weight)
+        Step(other[s.side], s.start_s, s.end_s, (-s.place[0], s.place[1]), -s.yaw_deg, s.detour, s.toes_deg,
+             s.weight)
         for s in sequence._demo_steps()
     ]  # fmt: skip
     monkeypatch.setattr(sequence, "_SCORE", score)
@@ -196,9 +196,9 @@ def test_demo_round_trip(tmp_path: Path) -> None:
         for a, b, projected in zip(got.views, expected.views, uvz, strict=True):
             np.testing.assert_allclose(a.depth_m, b.depth_m, atol=6e-4)
             assert b.mask is not None and 0.02 < b.mask.mean() < 0.3
+            assert projected.shape == (len(JOINTS), 3)
             u, v = projected[JOINT_INDEX["Spine1"], :2].round().astype(int)
             assert b.mask[v - 2 : v + 3, u - 2 : u + 3].mean() > 0.9
-    assert projected.shape == (len(JOINTS), 3)
     with pytest.raises(InputError, match="exists already"):
         write_demo(path, sets=1)
     with pytest.raises(ValueError, match="sets must be in 1 to"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -109,7 +110,7 @@ def test_the_makehuman_rig_has_a_scheme() -> None:
     trunk = [*(f"spine0{i}" for i in range(5, 0, -1)), *(f"neck0{i}" for i in range(1, 4)), "head"]
     names, parents = ["root"], [-1]
 
-    def hang(chain: list[str], parent: str) -> None:
+    def hang(chain: Iterable[str], parent: str) -> None:
         for name in chain:
             parents.append(names.index(parent))
             names.append(name)

@@ -40,16 +40,16 @@ def test_a_hand_comes_to_lie_on_the_skin(default_body: Body) -> None:
     bones = np.array([bone.rpartition(".")[0] or bone for bone in model.bone_names])[model.skin_indices[:, 0]]
     arm = np.array([name.startswith(("upperarm", "lowerarm", "wrist", "finger", "metacarpal")) for name in bones])
     sides = np.array([bone[-1] for bone in model.bone_names])[model.skin_indices[:, 0]]
+    palms = {side: model.skin_indices[:, 0] == model.bone_names.index(f"metacarpal3.{side}") for side in "RL"}
     near = []
     for posture in touched(30):
         posed = default_body.pose(posture)
-        for side in "RL":
+        for side, palm in palms.items():
             # From the middle of the palm to what is not the same arm.
-            knuckles = model.bone_names.index(f"metacarpal3.{side}")
-            palm = posed.vertices[model.skin_indices[:, 0] == knuckles].mean(0)
-            near.append(np.linalg.norm(posed.vertices[~arm | (sides != side)] - palm, axis=1).min())
+            others = posed.vertices[~arm | (sides != side)]
+            near.append(np.linalg.norm(others - posed.vertices[palm].mean(0), axis=1).min())
     rest = default_body.pose(REST_POSTURE)
-    far = np.linalg.norm(rest.vertices[~arm] - rest.vertices[model.skin_indices[:, 0] == knuckles].mean(0), axis=1)
+    far = np.linalg.norm(rest.vertices[~arm] - rest.vertices[palms["L"]].mean(0), axis=1)
     assert far.min() > 0.18
     # A hand at least a body; many bodies both.
     assert (np.array(near).reshape(-1, 2).min(1) < 0.12).mean() > 0.9

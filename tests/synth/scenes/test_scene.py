@@ -30,7 +30,7 @@ from depthmocap.synth.scenes.scene import (
     random_scene,
     render_scene,
 )
-from depthmocap.synth.scenes.solids import NONE, shell
+from depthmocap.synth.scenes.solids import NONE, join, shell
 from depthmocap.synth.scenes.worn import worn_object
 
 HIP = JOINT_INDEX["Hip"]
@@ -280,7 +280,7 @@ def test_a_backpack_is_on_the_back(default_body: Body, padded: bool) -> None:
     pack, straps = worn._backpack(np.random.default_rng(0), trunk)
     assert pack.frames[0, 1, 3] > person.joints[HIP, 1]
     assert not pack.hold_any(person.joints.astype(float))
-    scene = Scene(objects=worn.join([pack, straps]))
+    scene = Scene(objects=join([pack, straps]))
     seen = {}
     for name, y in (("front", -2.5), ("back", 2.5)):
         eye = np.array([0.0, y, 0.3])

@@ -21,7 +21,9 @@ def alike(a: Sample, b: Sample) -> bool:
         and a.group == b.group
         and all(
             (x.depth_m == y.depth_m).all()
-            and (x.labels == y.labels).all()  # type: ignore[union-attr]
+            and x.labels is not None
+            and y.labels is not None
+            and (x.labels == y.labels).all()
             and (x.camera.world_from_camera == y.camera.world_from_camera).all()
             for x, y in zip(a.views, b.views, strict=True)
         )

@@ -75,7 +75,7 @@ def die_sending_once(folder: Path, task: int) -> bytes:
         if len(data) >= size:
             os.kill(os.getpid(), KILL)
 
-    Connection._send = send_half  # type: ignore[attr-defined]
+    pytest.MonkeyPatch().setattr(Connection, "_send", send_half)
     return bytes(size)
 
 
@@ -143,7 +143,7 @@ def test_closing_does_not_wait() -> None:
     results = ordered(sleep, range(5), 1)
     assert next(results) == 0
     start = time.monotonic()
-    results.close()  # type: ignore[attr-defined]
+    results.close()
     assert time.monotonic() - start < 10
     assert not multiprocessing.active_children()
 

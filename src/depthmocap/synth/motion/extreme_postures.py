@@ -148,12 +148,15 @@ def _random_leg(rng: np.random.Generator) -> _Leg:
 def _random_arm(rng: np.random.Generator, side: str) -> dict[str, Float[ndarray, "3"]]:
     upper, fore = f"upper_arm.{side}", f"forearm.{side}"
     out = -1.0 if side == "R" else 1.0
-    for _ in range(50):
+    tries = 0
+    while True:
         direction = rng.normal(0, 1, 3)
         direction /= np.linalg.norm(direction)
+        tries += 1
         inward, backward = -out * direction[0], direction[1]
         # An arm reaches a little across the chest; behind the back it stays low and hardly moves inwards.
-        if inward < (0.75 if backward < 0 else 0.1) and not (backward > 0.75 and direction[2] > 0):
+        fits = inward < (0.75 if backward < 0 else 0.1) and not (backward > 0.75 and direction[2] > 0)
+        if fits or tries == 50:
             break
     swing = rotation_between(_AXES[POSTURE_INDEX[upper]], direction)
     twist = Rotation.from_rotvec(_AXES[POSTURE_INDEX[upper]] * np.deg2rad(rng.uniform(-60, 60)))

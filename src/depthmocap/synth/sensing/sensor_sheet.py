@@ -22,7 +22,9 @@ from depthmocap.geometry.transforms import look_at
 from depthmocap.synth.body.mesh import BodyModel
 from depthmocap.synth.motion.perform import pose_sequence
 from depthmocap.synth.motion.sequence import demo_motion
-from depthmocap.synth.people.bodies import ONE_CHARACTER, ORDINARY_CLOTHES, clothe
+from depthmocap.synth.people.bodies import ONE_CHARACTER
+from depthmocap.synth.people.garments import clothe
+from depthmocap.synth.people.wardrobe import ORDINARY_CLOTHES
 from depthmocap.synth.render import PosedPerson, render_person
 from depthmocap.synth.scenes.room import Box, Room, render_room
 from depthmocap.synth.sensing.sensor import sense
