@@ -29,9 +29,9 @@ from rich.table import Table
 
 from depthmocap.cameras.source import DepthFrame
 from depthmocap.geometry import DepthCamera, Rig
-from depthmocap.offline.pipeline import Pipeline
+from depthmocap.offline.pipeline import Pipeline, warm_up
 from depthmocap.offline.pipeline_settings import load_pipeline
-from depthmocap.realtime.live_capture import BackgroundSource, LiveCapture, warm_up
+from depthmocap.realtime.live_capture import BackgroundSource, LiveCapture
 from depthmocap.realtime.mcap_recorder import McapRecorder
 from depthmocap.realtime.sync import SyncSettings
 from depthmocap.recordings.mcap_recording import McapRecording

@@ -10,6 +10,7 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.cli import main
 from depthmocap.datasets.mhad import MHAD_CORRESPONDENCE, MHAD_JOINTS, MhadSet
 from depthmocap.evaluate import mhad_protocol as mhad
+from depthmocap.evaluate import protocol
 
 CLIPS = make_clips(frames=5, actions=(1, 2))
 OUR_JOINTS_IN_MHAD = [
@@ -38,7 +39,7 @@ def root(tmp_path_factory):
 @pytest.fixture
 def run(root, tmp_path, monkeypatch):
     def run(*options, moved=0.0, every=1):
-        monkeypatch.setattr(mhad, "load_estimator", lambda source: Scripted(moved, every))
+        monkeypatch.setattr(protocol, "load_estimator", lambda source: Scripted(moved, every))
         path = tmp_path / "numbers.json"
         assert main(["evaluate", "mhad", str(root), f"--json={path}", f"--every={every}", *options]) == 0
         return json.loads(path.read_text())

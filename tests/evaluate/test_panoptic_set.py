@@ -14,7 +14,7 @@ from depthmocap.datasets.annotated import AnnotatedSet
 from depthmocap.datasets.mhad import MHAD_CORRESPONDENCE, MHAD_JOINTS
 from depthmocap.datasets.panoptic import PANOPTIC_CORRESPONDENCE, PANOPTIC_JOINTS, PanopticSequence, PanopticSet
 from depthmocap.errors import InputError
-from depthmocap.evaluate import panoptic_protocol as panoptic
+from depthmocap.evaluate import protocol
 from depthmocap.geometry.transforms import transform_points
 
 JOINTS = np.concatenate([true_joints(clip) for clip in make_clips((1,), (1, 2), frames=2)])
@@ -159,7 +159,7 @@ class Scripted:
 
 
 def test_known_distances_are_the_errors(untouched, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(panoptic, "load_estimator", lambda source: Scripted())
+    monkeypatch.setattr(protocol, "load_estimator", lambda source: Scripted())
     files = [tmp_path / name for name in ("n.json", "n.csv")]
     assert main(["evaluate", "panoptic", str(untouched), f"--json={files[0]}", f"--csv={files[1]}"]) == 0
     numbers = json.loads(files[0].read_text())["CMU Panoptic"]

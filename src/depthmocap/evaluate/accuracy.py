@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import itertools
 import time
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,10 +18,11 @@ from rich.table import Table
 from depthmocap.body.regions import REGION_NAMES, UNLABELLED
 from depthmocap.classify.classifier import Classifier
 from depthmocap.errors import InputError
+from depthmocap.evaluate.evaluation_report import Outputs
 from depthmocap.evaluate.facing import facing_numbers
 from depthmocap.frames import FrameSet, View
 from depthmocap.pose.cloud import merge_views
-from depthmocap.pose.estimators import JointEstimator
+from depthmocap.pose.estimators import JointEstimator, load_estimator
 from depthmocap.pose.labelled_view import LabelledView
 from depthmocap.pose.labelled_view import Labels as Labels
 from depthmocap.report.metrics import (
@@ -30,6 +33,30 @@ from depthmocap.report.metrics import (
     joint_numbers,
     reliability,
 )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class AccuracyEvaluation(Outputs):
+    """What the protocols on labelled data have in common.
+
+    Attributes:
+        labels: "network" runs the classifier; "true" gives the pose stage the true labels, its floor.
+        weights: a classifier.onnx of your own.
+        estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
+    """
+
+    labels: Labels = "network"
+    weights: Path | None = None
+    estimator: str = "votes"
+
+    def load(self) -> tuple[JointEstimator, Classifier | None]:
+        """The estimator, and the network unless the true labels are taken.
+
+        Raises:
+            InputError: when a file is missing or not such a model.
+        """
+        classifier = Classifier(self.weights) if self.labels == "network" else None
+        return load_estimator(self.estimator, self.labels), classifier
 
 
 def check_views(views: int) -> None:

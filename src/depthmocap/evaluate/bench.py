@@ -15,24 +15,22 @@ from rich.console import Console
 from rich.progress import Progress
 from scipy.spatial.transform import Rotation
 
-from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.cores import usable_cores
 from depthmocap.core.locks import locks_outputs
 from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
-from depthmocap.evaluate.accuracy import Labels, check_views, measure_accuracy, print_numbers
-from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, write_outputs
+from depthmocap.evaluate.accuracy import AccuracyEvaluation, check_views, measure_accuracy, print_numbers
+from depthmocap.evaluate.evaluation_report import FILES, about, write_outputs
 from depthmocap.frames import FrameSet
 from depthmocap.geometry import DepthCamera
-from depthmocap.pose.estimators import load_estimator
 from depthmocap.synth.motion.postures import ClipPostures, posture_source
 from depthmocap.synth.sample import BENCH, Recipe
 from depthmocap.synth.writing.stream import stream
 
 
 @dataclasses.dataclass(frozen=True)
-class BenchEvaluation(Outputs):
+class BenchEvaluation(AccuracyEvaluation):
     """Accuracy of labels and joints on the project's own test sets.
 
     People of all builds in clothes, any sensor with its errors, cameras anywhere around; clothes and a sensor that
@@ -44,9 +42,6 @@ class BenchEvaluation(Outputs):
         samples: postures per set.
         sets: names of the sets.
         views: cameras around each posture.
-        labels: "network" runs the classifier; "true" gives the pose stage the true labels, its floor.
-        weights: a classifier.onnx of your own.
-        estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
         misplaced_mm: error of each camera's position, in a random direction.
         misplaced_deg: error of each camera's rotation, about a random axis.
         workers: processes that make the images.
@@ -56,10 +51,7 @@ class BenchEvaluation(Outputs):
     samples: int = 300
     sets: tuple[str, ...] = tuple(BENCH)
     views: int = 3
-    labels: Labels = "network"
     seed: int = 1
-    weights: Path | None = None
-    estimator: str = "votes"
     misplaced_mm: float = 0.0
     misplaced_deg: float = 0.0
     workers: int = usable_cores()
@@ -97,8 +89,7 @@ def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) ->
     unknown = [name for name in settings.sets if name not in BENCH]
     if unknown or not settings.sets or settings.samples < 1:
         raise InputError(f"--sets takes {', '.join(map(repr, BENCH))} and --samples at least 1; got {settings.sets}")
-    classifier = Classifier(settings.weights) if settings.labels == "network" else None
-    estimator = load_estimator(settings.estimator, settings.labels)
+    stages = settings.load()
     source = posture_source(settings.postures, "test")
     clips = source.names if isinstance(source, ClipPostures) else []  # none: postures are of the prior
     numbers: dict[str, Any] = {}
@@ -106,7 +97,7 @@ def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) ->
         recipe = dataclasses.replace(BENCH[name], postures=settings.postures, views=settings.views)
         with Progress(console=console) as progress:
             frames = progress.track(_frames(recipe, settings), settings.samples, description=name)
-            result = measure_accuracy(frames, settings.views, estimator, classifier)
+            result = measure_accuracy(frames, settings.views, *stages)
         assert result is not None  # every sample has labels and joints
         numbers[name] = {"recipe": plain_settings(recipe), "seed": settings.seed, "clips": clips, **result}
         print_numbers(f"bench, {name}", result, console)

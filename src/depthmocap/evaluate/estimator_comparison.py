@@ -19,9 +19,10 @@ from rich.table import Table
 
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
-from depthmocap.core.output import check_outputs, write_json
+from depthmocap.core.output import check_outputs
 from depthmocap.core.settings import check_at_least
 from depthmocap.errors import InputError, missing_extra
+from depthmocap.evaluate.evaluation_report import JsonOutput
 from depthmocap.pose.labelled_view import Labels
 from depthmocap.pose.parts import body_frame, network_inputs
 from depthmocap.pose.ridge import feature_moments, fit_ridge, grouped_folds, standardise
@@ -37,7 +38,7 @@ Predictor = Callable[[ndarray], ndarray]
 
 
 @dataclasses.dataclass(frozen=True)
-class EstimatorComparison:
+class EstimatorComparison(JsonOutput):
     """Estimators of joints fitted on collected samples, a part of whose clips is kept out to measure them on.
 
     Attributes:
@@ -46,7 +47,6 @@ class EstimatorComparison:
         views: numbers of cameras.
         folds: one in so many groups of clips is kept out.
         minutes: how long the voting network is trained; 0 leaves it out.
-        json: file for all numbers.
     """
 
     samples: tyro.conf.Positional[Path]
@@ -55,7 +55,6 @@ class EstimatorComparison:
     folds: int = 5
     minutes: float = 4.0
     seed: int = 0
-    json: Path | None = None
 
     def __post_init__(self) -> None:
         check_at_least(0, {"--minutes": self.minutes})
@@ -89,8 +88,7 @@ def compare_estimators(settings: EstimatorComparison, console: Console | None = 
     if settings.minutes > 0:
         numbers["votes"] = _votes(samples, held_out, settings, console)
     result = {"labels": settings.labels, "samples": len(samples.joints), "clips_kept_out": len(held_out), **numbers}
-    if settings.json is not None:
-        write_json(settings.json, result)
+    settings.write_numbers(result)
     table = Table(title=f"joint error in cm (within 10 cm), {settings.labels} labels, {len(samples.joints)} samples")
     table.add_column("estimator")
     for count in settings.views:

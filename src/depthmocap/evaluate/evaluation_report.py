@@ -43,16 +43,34 @@ _CSV_COLUMNS = ("per_joint_error_cm", "per_joint_deviation_cm", "per_joint_withi
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Outputs:
-    """Files that an evaluation leaves.
+class JsonOutput:
+    """The file that every evaluation leaves.
 
     Attributes:
         json: file for all numbers.
+    """
+
+    json: Path | None = None
+
+    def write_numbers(self, numbers: Any) -> None:
+        """Write the numbers, if they were asked for.
+
+        Raises:
+            InputError: when the file cannot be written.
+        """
+        if self.json is not None:
+            write_json(self.json, numbers)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Outputs(JsonOutput):
+    """Files that an evaluation of joints leaves.
+
+    Attributes:
         csv: file for the numbers of each joint.
         report: file for a page with tables and charts (.html).
     """
 
-    json: Path | None = None
     csv: Path | None = None
     report: Path | None = None
 
@@ -99,12 +117,28 @@ def write_outputs(outputs: Outputs, title: str, results: Mapping[str, Numbers], 
     Raises:
         InputError: when a file cannot be written.
     """
-    if outputs.json is not None:
-        write_json(outputs.json, results if document is None else document)
+    outputs.write_numbers(results if document is None else document)
     if outputs.csv is not None:
         _write_joints(outputs.csv, results)
     if outputs.report is not None:
         write_report(outputs.report, title, report_sections(results))
+
+
+def finish_evaluation(
+    settings: Outputs, title: str, numbers: Mapping[str, Numbers], console: Console, shown: str | None = None
+) -> dict[str, dict[str, Any]]:
+    """Write and print the numbers by name, and return them with what they depend on (:func:`about`).
+
+    Args:
+        shown: the title of what is printed, where it is not that of the files.
+
+    Raises:
+        InputError: when a file cannot be written.
+    """
+    results = {name: {"about": about(settings), **own} for name, own in numbers.items()}
+    write_outputs(settings, title, results)
+    print_results(shown or title, results, console)
+    return results
 
 
 def print_results(title: str, results: Mapping[str, Numbers], console: Console) -> None:

@@ -9,19 +9,17 @@ from typing import Any
 import tyro
 from rich.console import Console
 
-from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
 from depthmocap.datasets.itop import PARTS, Itop, Mask, Side
 from depthmocap.evaluate.estimated_frames import estimate_frames
-from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
-from depthmocap.evaluate.protocol import Refit, comparable, measure_estimates
+from depthmocap.evaluate.evaluation_report import FILES, finish_evaluation
+from depthmocap.evaluate.protocol import RealSetEvaluation, Refit, comparable, measure_estimates
 from depthmocap.evaluate.refit import fit_joints
-from depthmocap.pose.estimators import load_estimator
 
 
 @dataclasses.dataclass(frozen=True)
-class ItopEvaluation(Outputs):
+class ItopEvaluation(RealSetEvaluation):
     """Accuracy of joints on the valid frames of ITOP's test split; the pose stage is fitted on its train split.
 
     Attributes:
@@ -29,18 +27,12 @@ class ItopEvaluation(Outputs):
         view: "side"; or "top", from where the network never saw people in training.
         refit: "ridge" fits ITOP's joints on its train split; "none" takes our joints as they are.
         mask: "segmentation" is the set's own; "box" takes what is near the true joints, where that is wrong.
-        every: read every so-many-th frame only.
-        weights: a classifier.onnx of your own.
-        estimator: of our joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
     """
 
     root: tyro.conf.Positional[Path]
     view: Side = "side"
     refit: Refit = "ridge"
     mask: Mask = "segmentation"
-    every: int = 1
-    weights: Path | None = None
-    estimator: str = "votes"
 
 
 @locks_outputs(files=FILES)
@@ -54,14 +46,11 @@ def evaluate_itop(settings: ItopEvaluation, console: Console | None = None) -> d
     # Both are opened before an hour is spent on one of them.
     test = Itop(settings.root, settings.view, "test", settings.mask)
     train = Itop(settings.root, settings.view, "train", settings.mask) if settings.refit == "ridge" else None
-    classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)
+    stages = settings.load()
     joint_map = None
     if train is not None:
-        joint_map = fit_joints(estimate_frames(train, estimator, classifier, settings.every, console))
-    frames = comparable(estimate_frames(test, estimator, classifier, settings.every, console), settings.refit)
+        joint_map = fit_joints(estimate_frames(train, *stages, settings.every, console))
+    frames = comparable(estimate_frames(test, *stages, settings.every, console), settings.refit)
     estimates = frames.mapped() if joint_map is None else joint_map(frames)
     name = f"ITOP {settings.view}"
-    results = {name: {"about": about(settings), **measure_estimates(frames, estimates, PARTS)}}
-    write_outputs(settings, name, results)
-    print_results(name, results, console)
-    return results
+    return finish_evaluation(settings, name, {name: measure_estimates(frames, estimates, PARTS)}, console)

@@ -16,9 +16,10 @@ from depthmocap.body.regions import REGION_COUNT, REGION_NAMES, UNLABELLED
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
-from depthmocap.core.output import atomic_write, check_outputs, write_file, write_json
+from depthmocap.core.output import atomic_write, check_outputs, write_file
 from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError, missing_extra
+from depthmocap.evaluate.evaluation_report import JsonOutput
 from depthmocap.evaluate.label_charts import LabelExample, label_grid, region_bars, reliability_diagram
 from depthmocap.evaluate.label_measures import LEAST_PIXELS, PARTS, BorderAccuracy, Calibration, PartSwaps
 from depthmocap.frames import FrameSet, View
@@ -28,7 +29,7 @@ from depthmocap.report.page import ReportFigure, ReportSection, ReportTable, wri
 
 
 @dataclasses.dataclass(frozen=True)
-class LabelsEvaluation:
+class LabelsEvaluation(JsonOutput):
     """Confusion matrix, accuracy of every region, swapped limbs and calibration of a classifier's labels.
 
     Attributes:
@@ -42,7 +43,6 @@ class LabelsEvaluation:
         views: cameras a posture of a set that is made.
         weights: a classifier.onnx of your own, the paper's network included.
         pictures: views shown as depth, truth and prediction.
-        json: file for all numbers.
         workers: processes that make pictures.
     """
 
@@ -57,7 +57,6 @@ class LabelsEvaluation:
     seed: int = 1
     weights: Path | None = None
     pictures: int = 6
-    json: Path | None = None
     workers: int = 1
 
     def __post_init__(self) -> None:
@@ -169,8 +168,7 @@ def evaluate_labels(settings: LabelsEvaluation, console: Console | None = None) 
         "network": classifier.network, "weights": str(classifier.path), **quality.numbers(),
     }  # fmt: skip
     _write(settings.out, data, quality, numbers, shown)
-    if settings.json is not None:
-        write_json(settings.json, numbers)
+    settings.write_numbers(numbers)
     table = Table(title=f"{data}: {numbers['views']} views, network {classifier.network}")
     table.add_column("measure")
     table.add_column("value", justify="right")

@@ -15,10 +15,11 @@ from depthmocap.body.regions import MIRROR, REGION
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
-from depthmocap.core.output import check_outputs, write_json
+from depthmocap.core.output import check_outputs
 from depthmocap.core.reading.image_files import read_picture
 from depthmocap.core.reading.json_text import array, read_json
 from depthmocap.errors import InputError
+from depthmocap.evaluate.evaluation_report import JsonOutput
 from depthmocap.frames import View
 from depthmocap.geometry.depth_camera import DepthCamera
 
@@ -35,7 +36,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Labels2dEvaluation:
+class Labels2dEvaluation(JsonOutput):
     """Check labels of real depth images against joints found in colour images.
 
     Attributes:
@@ -45,7 +46,6 @@ class Labels2dEvaluation:
         depth_unit: metres of one depth unit.
         confidence: joints below it are left out.
         radius: an allowed region within so many pixels of the joint counts.
-        json: file for all numbers.
         weights: a classifier.onnx of your own.
     """
 
@@ -54,7 +54,6 @@ class Labels2dEvaluation:
     depth_unit: float = 0.001
     confidence: float = 0.9
     radius: int = 3
-    json: Path | None = None
     weights: Path | None = None
 
     def __post_init__(self) -> None:
@@ -132,8 +131,7 @@ def evaluate_labels2d(settings: Labels2dEvaluation, console: Console | None = No
         "count_by_joint": total,
         "on_other_side": swapped,
     }
-    if settings.json is not None:
-        write_json(settings.json, numbers)
+    settings.write_numbers(numbers)
     console = console or Terminal(stderr=True)
     table = Table(title=f"{settings.folder.name}: {pictures} pictures, {numbers['joints']} joints")
     for heading in ("joint", "on a region of its own", "of"):

@@ -26,10 +26,10 @@ from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet
 from depthmocap.datasets.mhad import MHAD_JOINTS, MhadSet
 from depthmocap.errors import InputError
 from depthmocap.evaluate.estimated_frames import EstimatedFrames, estimate_frames
-from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
-from depthmocap.evaluate.protocol import Refit, comparable, leave_one_out, measure_estimates
+from depthmocap.evaluate.evaluation_report import FILES, finish_evaluation
+from depthmocap.evaluate.protocol import RealSetEvaluation, Refit, comparable, leave_one_out, measure_estimates
 from depthmocap.geometry.transforms import transform_points
-from depthmocap.pose.estimators import JointEstimator, load_estimator
+from depthmocap.pose.estimators import JointEstimator
 from depthmocap.report.metrics import joint_errors_cm
 
 #: A true hand is in the cloud if a point is within this distance, metres: the breadth of a hand plus the error of both
@@ -50,27 +50,21 @@ JOINT_TABLES: dict[str, tuple[str, ...]] = {
 
 
 @dataclasses.dataclass(frozen=True)
-class MhadEvaluation(Outputs):
+class MhadEvaluation(RealSetEvaluation):
     """Accuracy of joints on Berkeley MHAD's two Kinects.
 
     Attributes:
         root: folder with Kinect, Mocap and Calibration.
         subjects: numbers of the people to take, by default all; likewise actions.
         refit: "ridge" fits the set's joints, on other people than are tested; "none" takes our joints as they are.
-        every: read every so-many-th frame only.
         joint_table: a JSON file {"reliable": [names], "michel": [names]} that replaces these lists of joints.
-        weights: a classifier.onnx of your own.
-        estimator: of our joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
     """
 
     root: tyro.conf.Positional[Path]
     subjects: tuple[int, ...] = ()
     actions: tuple[int, ...] = ()
     refit: Refit = "ridge"
-    every: int = 1
     joint_table: Path | None = None
-    weights: Path | None = None
-    estimator: str = "votes"
 
 
 class HandVisibility:
@@ -206,9 +200,5 @@ def evaluate_mhad(settings: MhadEvaluation, console: Console | None = None) -> d
     console = console or Terminal(stderr=True)
     tables = read_joint_tables(settings.joint_table)
     source = MhadSet(settings.root, settings.subjects, settings.actions, settings.every)
-    classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)
-    results = measure_mhad(source, estimator, classifier, settings.refit, tables, console).numbers
-    results = {name: {"about": about(settings), **numbers} for name, numbers in results.items()}
-    write_outputs(settings, source.name, results)
-    print_results(source.name, results, console)
-    return results
+    numbers = measure_mhad(source, *settings.load(), settings.refit, tables, console).numbers
+    return finish_evaluation(settings, source.name, numbers, console)

@@ -20,10 +20,11 @@ from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
-from depthmocap.core.output import check_outputs, write_json
+from depthmocap.core.output import check_outputs
 from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
 from depthmocap.evaluate.estimated_sequences import EstimateStore, SequenceEstimates, estimate_sequence
+from depthmocap.evaluate.evaluation_report import JsonOutput
 from depthmocap.evaluate.moving_people import FPS, clip_motions, moving_frames, prior_motions
 from depthmocap.evaluate.temporal_metrics import TemporalMetrics, temporal_metrics
 from depthmocap.frames import Pose
@@ -52,7 +53,7 @@ _COLUMNS = (
 
 
 @dataclasses.dataclass(frozen=True)
-class MotionEvaluation:
+class MotionEvaluation(JsonOutput):
     """Joints over time on generated sequences: a person moves, cameras with errors look, the network labels, joints
     are estimated frame by frame, and every filter is applied to them.
 
@@ -70,7 +71,6 @@ class MotionEvaluation:
         lag_frames: that the fixed-lag smoother waits for.
         weights: a classifier.onnx of your own.
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
-        json: file for all numbers.
         report: file for a page with the tables (.html).
     """
 
@@ -87,7 +87,6 @@ class MotionEvaluation:
     lag_frames: int = 4
     weights: Path | None = None
     estimator: str = "votes"
-    json: Path | None = None
     report: Path | None = None
 
     def __post_init__(self) -> None:
@@ -129,8 +128,7 @@ def evaluate_motion(settings: MotionEvaluation, console: Console | None = None) 
         }
         shown = ", ".join(f"{name} {growth[name]:+.1%}" for name in ("none", f"{AUTO}, steady bones"))
         console.print(f"error {title}: {shown}")
-    if settings.json is not None:
-        write_json(settings.json, numbers)
+    settings.write_numbers(numbers)
     if settings.report is not None:
         write_report(settings.report, "Joints over time", _sections(numbers))
     return numbers

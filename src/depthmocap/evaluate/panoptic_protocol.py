@@ -13,19 +13,17 @@ from typing import Any
 import tyro
 from rich.console import Console
 
-from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
 from depthmocap.datasets.panoptic import CONFIDENCE, PanopticSet
 from depthmocap.datasets.panoptic_files import MColor
 from depthmocap.evaluate.estimated_frames import estimate_frames
-from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
-from depthmocap.evaluate.protocol import Refit, comparable, leave_one_out, measure_estimates
-from depthmocap.pose.estimators import load_estimator
+from depthmocap.evaluate.evaluation_report import FILES, finish_evaluation
+from depthmocap.evaluate.protocol import RealSetEvaluation, Refit, comparable, leave_one_out, measure_estimates
 
 
 @dataclasses.dataclass(frozen=True)
-class PanopticEvaluation(Outputs):
+class PanopticEvaluation(RealSetEvaluation):
     """Accuracy of joints on the frames of CMU Panoptic in which exactly one person is.
 
     Attributes:
@@ -36,18 +34,13 @@ class PanopticEvaluation(Outputs):
         confidence: the set's joints of less confidence are unknown.
         m_color: whether the calibration's M_color leads from a Kinect's frame to its colour camera, or back: public
             code does not agree.
-        weights: a classifier.onnx of your own.
-        estimator: of our joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
     """
 
     root: tyro.conf.Positional[Path]
     kinects: tuple[int, ...] = ()
     refit: Refit = "none"
-    every: int = 1
     confidence: float = CONFIDENCE
     m_color: MColor = "to-colour"
-    weights: Path | None = None
-    estimator: str = "votes"
 
 
 @locks_outputs(files=FILES)
@@ -59,10 +52,6 @@ def evaluate_panoptic(settings: PanopticEvaluation, console: Console | None = No
     """
     console = console or Terminal(stderr=True)
     source = PanopticSet(settings.root, settings.kinects, settings.every, settings.confidence, settings.m_color)
-    classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)
-    frames = comparable(estimate_frames(source, estimator, classifier, 1, console), settings.refit)
+    frames = comparable(estimate_frames(source, *settings.load(), 1, console), settings.refit)
     estimates = leave_one_out(frames, frames.subjects, settings.refit)
-    results = {source.name: {"about": about(settings), **measure_estimates(frames, estimates)}}
-    write_outputs(settings, source.name, results)
-    print_results(source.name, results, console)
-    return results
+    return finish_evaluation(settings, source.name, {source.name: measure_estimates(frames, estimates)}, console)

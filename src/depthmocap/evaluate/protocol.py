@@ -5,20 +5,49 @@ As in the paper only the pose stage is fitted to a set's joints (see ``refit``),
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Shaped
 from numpy import ndarray
 
+from depthmocap.classify.classifier import Classifier
 from depthmocap.errors import InputError
 from depthmocap.evaluate.estimated_frames import EstimatedFrames
+from depthmocap.evaluate.evaluation_report import Outputs
 from depthmocap.evaluate.refit import fit_joints
+from depthmocap.pose.estimators import JointEstimator, load_estimator
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
 
 #: "ridge" fits the set's joints; "none" takes ours where they correspond.
 Refit = Literal["ridge", "none"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RealSetEvaluation(Outputs):
+    """What the protocols on sets of real people have in common.
+
+    Attributes:
+        every: read every so-many-th frame only.
+        weights: a classifier.onnx of your own.
+        estimator: of our joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
+    """
+
+    every: int = 1
+    weights: Path | None = None
+    estimator: str = "votes"
+
+    def load(self) -> tuple[JointEstimator, Classifier]:
+        """The estimator and the network.
+
+        Raises:
+            InputError: when a file is missing or not such a model.
+        """
+        classifier = Classifier(self.weights)
+        return load_estimator(self.estimator), classifier
 
 
 def comparable(observed: EstimatedFrames, refit: Refit) -> EstimatedFrames:

@@ -14,7 +14,7 @@ from rich.progress import track
 from depthmocap.core.console import Terminal, progress_text
 from depthmocap.core.locks import locks_outputs
 from depthmocap.errors import InputError
-from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, print_results, write_outputs
+from depthmocap.evaluate.evaluation_report import FILES, Outputs, finish_evaluation
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline, open_source
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
 from depthmocap.text import joined
@@ -63,7 +63,6 @@ def evaluate_recording(settings: RecordingEvaluation, console: Console | None = 
     confidence = np.stack([poses[time_ns].confidence for time_ns in truths]).astype(np.float64)
     name = settings.recording.resolve().name
     numbers = {
-        "about": about(settings),
         "frames": len(truths),
         "frames_left_out": len(source) - len(truths),
         "frames_without_person": int(np.isnan(estimates).all((1, 2)).sum()),
@@ -71,7 +70,4 @@ def evaluate_recording(settings: RecordingEvaluation, console: Console | None = 
         "ms_per_frame": float(np.median(spent_ms)),
         "problems": problems,
     }
-    results = {name: numbers}
-    write_outputs(settings, f"Recording {name}", results)
-    print_results(name, results, console)
-    return results
+    return finish_evaluation(settings, f"Recording {name}", {name: numbers}, console, shown=name)

@@ -10,37 +10,29 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress
 
-from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
 from depthmocap.datasets.ubc3v import CAMERAS, image_paths, iterate, sections
 from depthmocap.errors import InputError
-from depthmocap.evaluate.accuracy import Labels, check_views, measure_accuracy, print_numbers
-from depthmocap.evaluate.evaluation_report import FILES, Outputs, about, write_outputs
-from depthmocap.pose.estimators import load_estimator
+from depthmocap.evaluate.accuracy import AccuracyEvaluation, check_views, measure_accuracy, print_numbers
+from depthmocap.evaluate.evaluation_report import FILES, about, write_outputs
 
 
 @dataclasses.dataclass(frozen=True)
-class Ubc3vEvaluation(Outputs):
+class Ubc3vEvaluation(AccuracyEvaluation):
     """Accuracy of labels and joints on UBC3V, or on a set of the same layout.
 
     Attributes:
         root: holds hard-pose and its kin.
-        labels: "network" runs the classifier; "true" gives the pose stage the true labels, its floor.
         views: 1 evaluates every camera alone and averages, 2 every pair, 3 all.
         limit: evaluate the first so many samples only.
-        weights: a classifier.onnx of your own.
-        estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
     """
 
     root: tyro.conf.Positional[Path]
     subset: str = "hard-pose"
     split: str = "test"
-    labels: Labels = "network"
     views: int = 3
     limit: int | None = None
-    weights: Path | None = None
-    estimator: str = "votes"
 
 
 @locks_outputs(files=FILES)
@@ -59,15 +51,12 @@ def evaluate_ubc3v(settings: Ubc3vEvaluation, console: Console | None = None) ->
     cameras = max(sum(image_paths(path, name, 0)[0].parent.is_dir() for name in CAMERAS) for path in paths)
     if 0 < cameras < settings.views:
         raise InputError(f"--views must be at most {cameras}, the cameras of {settings.root}, got {settings.views}")
-    classifier = Classifier(settings.weights) if settings.labels == "network" else None
-    estimator = load_estimator(settings.estimator, settings.labels)
+    stages = settings.load()
     problems: list[str] = []
     frames = iterate(settings.root, settings.subset, settings.split, settings.limit, problems=problems)
     with Progress(console=console) as progress:
         title = f"{settings.subset}/{settings.split} ({len(paths)} sections)"
-        accuracy = measure_accuracy(
-            progress.track(frames, settings.limit, description=title), settings.views, estimator, classifier
-        )
+        accuracy = measure_accuracy(progress.track(frames, settings.limit, description=title), settings.views, *stages)
     if accuracy is None:
         raise InputError(f"{settings.root}: no sample of {settings.subset}/{settings.split} has labels and joints")
     numbers = {

@@ -203,3 +203,10 @@ class Pipeline:
         if own.is_final:
             final.setdefault(number, []).append(smoothed)
         return smoothed
+
+
+def warm_up(pipeline: Pipeline, frames: FrameSet) -> Pipeline:
+    """Run the pipeline on a set and reset it, so that everything is loaded and compiled; returns the pipeline."""
+    pipeline(frames)
+    pipeline.reset()
+    return pipeline

@@ -26,7 +26,7 @@ from depthmocap.exporting.run_result import RunResult
 from depthmocap.exporting.summary import Quantiles, Summary, Take, count_problems, problem_lines, unsure_lines
 from depthmocap.exporting.timeline import LEAST_CONFIDENCE
 from depthmocap.frames import FrameSet, FrameSource, Pose
-from depthmocap.offline.pipeline import STAGES, Pipeline, Result
+from depthmocap.offline.pipeline import STAGES, Pipeline, Result, warm_up
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline, open_source
 from depthmocap.offline.run_report import Pictures, write_run_report
 from depthmocap.pose.extrinsics_check import ExtrinsicsCheck
@@ -76,10 +76,8 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
     with console.status("reading the background and the weights"):
         pipeline = load_pipeline(source, settings)
         # The first frame ever compiles the inner loops, which would be taken for the machine's speed.
-        for frames in source:
-            pipeline(frames)
-            break
-        pipeline.reset()
+        if (first := next(iter(source), None)) is not None:
+            warm_up(pipeline, first)
     pictures = Pictures(len(source), source.up) if settings.report else None
     remove_results(settings.out)
     files, people_files = PoseFiles(settings.out, take), PeopleFiles(settings.out, take)

@@ -20,7 +20,7 @@ from depthmocap.cameras.source import DepthSource
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.geometry import Rig, check_extrinsics, load_rig
-from depthmocap.offline.pipeline import Pipeline, Result
+from depthmocap.offline.pipeline import Pipeline, Result, warm_up
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline
 from depthmocap.pose.extrinsics_check import ExtrinsicsCheck
 from depthmocap.realtime.ingest import FrameIngest, frame_set, recorded_frames
@@ -210,13 +210,6 @@ def compile_pipeline(make_pipeline: PipelineMaker) -> None:
     background. Otherwise the first person in front of the cameras would wait for the compilation."""
     recording = open_recording(packaged_recording())
     make_pipeline(recording)(recording[0])
-
-
-def warm_up(pipeline: Pipeline, frames: FrameSet) -> Pipeline:
-    """Run the pipeline on a set and reset it, so that everything is loaded; returns the pipeline."""
-    pipeline(frames)
-    pipeline.reset()
-    return pipeline
 
 
 class Replay:
