@@ -31,7 +31,8 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).parent))
 from mutations import spoilt
-from readers import READERS, check_message
+from reader import check_message
+from readers import READERS
 
 from depthmocap.errors import InputError
 
