@@ -70,6 +70,21 @@ class AnnotatedSet(Protocol):
     def __iter__(self) -> Iterator[AnnotatedFrame]: ...
 
 
+class PassedOn:
+    """The frames of another set as they are; a subclass looks at them on their way (``__iter__``)."""
+
+    def __init__(self, source: AnnotatedSet) -> None:
+        self.name, self.joints, self.correspondence, self.up, self.fps = (
+            source.name, source.joints, source.correspondence, source.up, source.fps,
+        )  # fmt: skip
+        self._source = source
+
+    @property
+    def problems(self) -> list[str]:
+        """As in ``AnnotatedSet``."""
+        return self._source.problems
+
+
 #: How far the body extends beyond its joints (hands, feet, the top of the head), metres.
 REACH_M = 0.3
 

@@ -22,7 +22,7 @@ from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
 from depthmocap.core.reading.json_text import read_json
-from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet
+from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet, PassedOn
 from depthmocap.datasets.mhad import MHAD_JOINTS, MhadSet
 from depthmocap.errors import InputError
 from depthmocap.evaluate.estimated_frames import EstimatedFrames, estimate_frames
@@ -67,20 +67,12 @@ class MhadEvaluation(RealSetEvaluation):
     joint_table: Path | None = None
 
 
-class HandVisibility:
+class HandVisibility(PassedOn):
     """A set that passes the frames of another set on, and records for each whether the true hands are in the cloud."""
 
     def __init__(self, source: AnnotatedSet) -> None:
-        self.name, self.joints, self.correspondence, self.up, self.fps = (
-            source.name, source.joints, source.correspondence, source.up, source.fps,
-        )  # fmt: skip
-        self._source = source
+        super().__init__(source)
         self.in_cloud: list[bool] = []
-
-    @property
-    def problems(self) -> list[str]:
-        """As in ``AnnotatedSet``."""
-        return self._source.problems
 
     def __iter__(self) -> Iterator[AnnotatedFrame]:
         self.in_cloud.clear()

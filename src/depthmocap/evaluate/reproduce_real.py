@@ -14,7 +14,7 @@ from rich.console import Console
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.classify.classifier import Classifier
-from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet
+from depthmocap.datasets.annotated import AnnotatedFrame, AnnotatedSet, PassedOn
 from depthmocap.datasets.eval3d import Eval
 from depthmocap.datasets.mhad import ACTIONS, MHAD_CORRESPONDENCE, MhadSet
 from depthmocap.errors import InputError
@@ -61,19 +61,13 @@ class RealPart:
     pictures: int
 
 
-class _FirstFrames:
+class _FirstFrames(PassedOn):
     """A set that passes the frames of another set on and keeps the first frame of each action with its index."""
 
     def __init__(self, source: MhadSet, count: int) -> None:
-        self.name, self.joints, self.correspondence, self.up, self.fps = (
-            source.name, source.joints, source.correspondence, source.up, source.fps,
-        )  # fmt: skip
-        self._source, self._count = source, count
+        super().__init__(source)
+        self._count = count
         self.frames: dict[str, tuple[int, AnnotatedFrame]] = {}
-
-    @property
-    def problems(self) -> list[str]:
-        return self._source.problems
 
     def __iter__(self) -> Iterator[AnnotatedFrame]:
         for i, frame in enumerate(self._source):
