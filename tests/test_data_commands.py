@@ -65,19 +65,6 @@ def test_synth_writes_what_is_read_back(root):
         assert (behind > -0.03).all()
 
 
-def test_synth_is_deterministic_and_resumes(body_model, tmp_path):
-    settings = SynthSettings(tmp_path / "a", Recipe("easy", "valid", views=1), samples=3, seed=5)
-    generate(dataclasses.replace(settings, samples=1))
-    generate(settings)
-    generate(dataclasses.replace(settings, out=tmp_path / "b"))
-    for name in ("depthRender", "groundtruth"):
-        for i in (1, 2, 3):
-            file = f"easy-pose/valid/1/images/{name}/Cam1/mayaProject.{i:06d}.png"
-            assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
-    with pytest.raises(InputError, match="other settings"):
-        generate(dataclasses.replace(settings, seed=6))
-
-
 def test_evaluation_on_true_labels(root, tmp_path):
     path = tmp_path / "numbers.json"
     numbers = evaluate_ubc3v(Ubc3vEvaluation(root, labels="true", json=path))
@@ -273,7 +260,7 @@ def test_votes_that_are_interrupted_are_kept(root, tmp_path, monkeypatch):
     original = votes_train.augment
 
     def interrupted(*arguments):
-        if next(steps) == 3:
+        if next(steps) == 1:
             raise KeyboardInterrupt
         return original(*arguments)
 
@@ -282,7 +269,7 @@ def test_votes_that_are_interrupted_are_kept(root, tmp_path, monkeypatch):
     (path,) = train_pose(settings, Console(file=told))
     assert path.exists() and path.with_suffix(".safetensors").exists()
     assert "stopped: what was learnt until now is written" in told.getvalue()
-    steps = iter([3])  # at once
+    steps = iter([1])  # at once
     with pytest.raises(KeyboardInterrupt):
         train_pose(dataclasses.replace(settings, out=tmp_path / "none"), QUIET)
     assert not (tmp_path / "none" / "votes.onnx").exists()
@@ -290,7 +277,7 @@ def test_votes_that_are_interrupted_are_kept(root, tmp_path, monkeypatch):
 
 def test_train_classifier_on_the_fly(body_model, tmp_path, monkeypatch):
     skip_export(monkeypatch)
-    settings = ClassifierTraining(tmp_path, images=8, batch=4, workers=0, valid_every=8, valid_images=2)
+    settings = ClassifierTraining(tmp_path, images=4, batch=2, workers=0, valid_every=4, valid_images=1)
     train_classifier(settings)
     row = json.loads((tmp_path / "history.jsonl").read_text())
     assert np.isfinite(row["loss"])

@@ -342,7 +342,7 @@ def test_looking_for_cameras_never_fails(monkeypatch: pytest.MonkeyPatch, virtua
 def test_the_synthetic_scene_is_a_source_for_each_of_its_cameras() -> None:
     pytest.importorskip("anny")
     told: list[str] = []
-    sources = make_sources(["synthetic?fps=20"], tell=told.append)
+    sources = make_sources(["synthetic?fps=5"], tell=told.append)
     assert [line[:26] for line in told] == ["making the synthetic scene"]
     stamps = []
     for each in reversed(sources):  # in any order: the others' frames wait
@@ -355,7 +355,7 @@ def test_the_synthetic_scene_is_a_source_for_each_of_its_cameras() -> None:
             assert source.up == "z"
             stamps.append([frame.timestamp_ns for frame in frames if frame])
     assert (np.ptp(stamps, axis=0) < 10_000_000).all()
-    np.testing.assert_allclose(np.diff(stamps), 50e6, atol=6e6)
+    np.testing.assert_allclose(np.diff(stamps), 200e6, atol=6e6)
     for spec in ("synthetic#x", "synthetic#x?fps=5"):
         with pytest.raises(CameraError, match="no camera 'x': it has cam0, cam1, cam2"):
             make_sources([spec])

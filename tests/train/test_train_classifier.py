@@ -69,7 +69,7 @@ def test_the_papers_network_learns_resumes_and_exports(
     body_model: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = ClassifierTraining(
-        tmp_path / "run", network="paper", subset="easy", images=4, batch=2, workers=0, valid_every=2, valid_images=2,
+        tmp_path / "run", network="paper", subset="easy", images=4, batch=2, workers=0, valid_every=2, valid_images=1,
         average=0.0, schedule="constant", learning_rate=0.01, bfloat16=False,
     )  # fmt: skip
     with monkeypatch.context() as patch:
