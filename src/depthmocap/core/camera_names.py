@@ -38,7 +38,7 @@ def _fault(name: str) -> str:
     return f"is longer than {_LONGEST} bytes" if len(name.encode()) > _LONGEST else ""
 
 
-def check_camera_name(name: str) -> None:
+def check_camera_name(name: object) -> None:
     """Check that a camera can have this name.
 
     Raises:

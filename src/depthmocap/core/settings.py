@@ -33,14 +33,14 @@ def check_seed(seed: int) -> None:
         raise InputError(f"--seed must be at least 0, got {seed}")
 
 
-def check_above_0(numbers: Mapping[str, float | None]) -> None:
+def check_above_0(numbers: Mapping[str, int | float | None]) -> None:
     """Raise InputError unless all numbers, by option, are finite and above 0; None is ignored."""
     for option, value in numbers.items():
         if value is not None and not 0 < value < math.inf:
             raise InputError(f"{option} must be finite and above 0, got {value}")
 
 
-def check_at_least(least: int, numbers: Mapping[str, float | None]) -> None:
+def check_at_least(least: int, numbers: Mapping[str, int | float | None]) -> None:
     """Raise InputError unless all numbers, by option, are finite and at least ``least``; None is ignored."""
     for option, value in numbers.items():
         if value is not None and not least <= value < math.inf:

@@ -10,7 +10,7 @@ import copy
 import dataclasses
 import time
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, UInt8
@@ -27,6 +27,7 @@ from depthmocap.smooth.pose_filter import MAX_GAP_S, PoseFilter
 STAGES = ("segment", "label", "merge", "joints", "smooth")
 
 
+@runtime_checkable
 class ViewClassifier(Protocol):
     """Labels what is in the masks of views; see ``Classifier``."""
 
@@ -37,6 +38,7 @@ class ViewClassifier(Protocol):
         ...
 
 
+@runtime_checkable
 class Segmenter(Protocol):
     """Gives the people in a set of views, the one whose pose is wanted first; see ``PeopleSegmenter``.
 

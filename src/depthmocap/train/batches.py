@@ -192,8 +192,8 @@ def sorted_batches(windows: Sequence[LabelledWindow], size: int) -> Iterator[Lab
     order = sorted(range(len(windows)), key=lambda i: windows[i].labels.shape)
     for first in range(0, len(order), size):
         chosen = [windows[i] for i in order[first : first + size]]
-        shape = np.max([window.labels.shape for window in chosen], 0)
-        wide = [pad_window(window, *shape) for window in chosen]
+        heights, widths = zip(*(window.labels.shape for window in chosen), strict=True)
+        wide = [pad_window(window, max(heights), max(widths)) for window in chosen]
         yield LabelledBatch(*(torch.from_numpy(np.stack(window)) for window in zip(*wide, strict=True)))
 
 

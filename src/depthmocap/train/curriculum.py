@@ -186,7 +186,7 @@ def _measure(settings: CurriculumTraining, optimiser: Optimiser, stage: _Stage |
     return accuracies
 
 
-def _cell(start: float | None, end: float | None) -> str:
+def _cell(start: int | float | None, end: int | float | None) -> str:
     return " → ".join("–" if share is None else f"{share:.0f}" for share in (start, end))
 
 
@@ -258,7 +258,7 @@ def _write_report(settings: CurriculumTraining, table: dict[str, Any]) -> None:
     write_report(settings.out / "report.html", "The paper's curriculum", sections)
 
 
-def _history(settings: CurriculumTraining, optimiser: Optimiser, names: list[str]) -> list[dict[str, float]]:
+def _history(settings: CurriculumTraining, optimiser: Optimiser, names: list[str]) -> list[dict[str, int | float]]:
     """The runs' histories behind one another, the values of each under its name."""
     rows, before = [], 0
     for stage in (stage for stage in STAGES if stage.name in names):

@@ -154,7 +154,7 @@ class _Run:
         self._optimiser = _make_optimiser(self.network, settings)
         self._peaks = [group["peak"] for group in self._optimiser.param_groups]
         self.images, self.spent_s = 0, 0.0
-        self.history: list[dict[str, float]] = []
+        self.history: list[dict[str, int | float]] = []
         if self._checkpoint.exists():
             self._restore()
         self._bfloat16 = in_bfloat16(settings.bfloat16, settings.device)
@@ -231,7 +231,7 @@ class _Run:
         self._losses.append(loss.item())
         self._accuracies.append((logits.argmax(1) == truth)[truth > 0].float().mean().item())
 
-    def validate(self, windows: Sequence[LabelledWindow]) -> dict[str, float]:
+    def validate(self, windows: Sequence[LabelledWindow]) -> dict[str, int | float]:
         """Measure the averaged network; the row of numbers is also added to the history."""
         accuracy, joint_m = evaluate_windows(cast(Network, self._average.module), windows, self.settings.device)
         row = {
@@ -365,7 +365,7 @@ def _at_interruption(save: Callable[[], None]) -> Iterator[None]:
         raise
 
 
-def _write_history(out: Path, history: list[dict[str, float]]) -> None:
+def _write_history(out: Path, history: list[dict[str, int | float]]) -> None:
     from depthmocap.report.charts import loss_curves
 
     write_file(out / "history.jsonl", "".join(json.dumps(row) + "\n" for row in history))
