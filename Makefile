@@ -9,7 +9,7 @@ ifneq ($(shell uname -s),Darwin)  # the package index has no RealSense SDK for m
 EXTRAS := $(EXTRAS),realsense
 endif
 
-.PHONY: demo test test-slow test-all body fuzz lint benchmark results docs clean
+.PHONY: demo test test-slow test-all coverage body fuzz lint benchmark results docs clean
 
 # The main job on the packaged recording: base install, no torch, no network but the package index.
 demo: $(VENV)/base
@@ -23,6 +23,12 @@ test-slow: $(VENV)/body
 	$(PYTEST) -m slow
 
 test-all: test test-slow
+
+# Lines of the package that the fast tests do not reach; tens of minutes of one core, for one process is measured.
+coverage: $(VENV)/body
+	mkdir -p out
+	OMP_NUM_THREADS=1 $(BIN)/python -m coverage run -m pytest -q -m "not slow"
+	$(BIN)/python -m coverage report
 
 # Minutes of one core, the first time.
 body: $(VENV)/body
