@@ -171,6 +171,14 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "train",
         ),
         Command(
+            "train people",
+            "depthmocap.train.train_people",
+            "PeopleTraining",
+            "train_people",
+            "train the network that finds people",
+            "train",
+        ),
+        Command(
             "train pose",
             "depthmocap.train.train_pose",
             "PoseTraining",

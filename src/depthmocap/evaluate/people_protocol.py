@@ -26,23 +26,31 @@ from depthmocap.core.locks import locks_outputs
 from depthmocap.core.output import check_outputs, write_json
 from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
+from depthmocap.evaluate.empty_rooms import EmptyRoomScene
+from depthmocap.evaluate.posture_scenarios import ACTS, STILL_RATE_HZ, PostureScenario
 from depthmocap.evaluate.scenario_scene import ScenarioScene, SceneFrame
 from depthmocap.evaluate.scenarios import BesideFurniture, EmptyRoom, Meeting, Scenario, Visits
 from depthmocap.frames import FrameSet
 from depthmocap.offline.pipeline import Pipeline, Segmenter
 from depthmocap.pose.estimators import load_estimator
+from depthmocap.segment.network_segmenter import NetworkSegmenter
+from depthmocap.segment.people_detector import PeopleDetector
 from depthmocap.segment.people_segmenter import PeopleSegmenter, PersonMasks
 from depthmocap.segment.static_scene import PersonSegmenter
 from depthmocap.segment.tracking import GONE_S
 
 #: A person is in view when all cameras together see at least this much of the surface, m².
 IN_VIEW_M2 = 0.25
+#: A small child is in view from this much surface on, m².
+IN_VIEW_CHILD_M2 = 0.06
 #: A person is detected when the intersection over union of the masks is at least this.
 MIN_IOU = 0.5
 #: A detected person who overlaps with nobody by this much is counted as a ghost.
 GHOST_IOU = 0.2
 #: Two people are near each other below this distance, metres: the second disturbs the first most there.
 NEAR_M = 1.2
+#: Frame sets of a room without people.
+_ROOM_SETS = 6
 _HIP = JOINT_INDEX["Hip"]
 
 Masks = tuple[Bool[ndarray, "_ _"], ...]
@@ -55,7 +63,10 @@ class PeopleEvaluation:
     Attributes:
         scenario: meeting: two people enter, cross, stand side by side, push a chair, leave and return. returns: two or
             three people enter and leave, and all are away before they return. beside: one person stands close to
-            furniture from the start, and an empty room.
+            furniture from the start, and an empty room. postures: people who stand, sit or lie, for long, who fall,
+            touch or are small. rooms: furnished rooms without anybody, a third of them with something that moves.
+        segment: ways of finding people to compare.
+        weights: a people.onnx of your own.
         scenes: number of scenes of each kind, with other people, cameras and trajectories.
         cameras: number of cameras.
         rate_hz: frame sets per second.
@@ -65,7 +76,9 @@ class PeopleEvaluation:
         json: file for all numbers.
     """
 
-    scenario: Literal["meeting", "returns", "beside"] = "meeting"
+    scenario: Literal["meeting", "returns", "beside", "postures", "rooms"] = "meeting"
+    segment: tuple[Literal["auto", "network", "background"], ...] = ("auto", "network", "background")
+    weights: Path | None = None
     scenes: int = 4
     cameras: int = 3
     rate_hz: float = 15.0
@@ -121,24 +134,41 @@ def evaluate_people(settings: PeopleEvaluation, console: Console | None = None) 
     numbers: dict[str, Any] = {"settings": plain_settings(settings)}
     errors: dict[str, list[ndarray]] = {}
     for kind, scenario, backgrounds in _scenarios(settings):
-        scores = {background: TrackingScore() for background in backgrounds}
+        still = isinstance(scenario, PostureScenario) and scenario.still
+        rate_hz = STILL_RATE_HZ if still else settings.rate_hz
+        in_view_m2 = IN_VIEW_CHILD_M2 if kind == "infant" else IN_VIEW_M2
+        scores = {
+            f"{kind}, {segment}{', background known' if background == 'known' else ''}": (
+                segment,
+                background,
+                TrackingScore(),
+            )
+            for background in backgrounds
+            for segment in settings.segment
+            if background == "learnt" or segment != "network"
+        }
         for index in range(settings.scenes):
-            scene = ScenarioScene(rng, scenario, settings.cameras, settings.rate_hz)
-            for background, score in scores.items():
+            if scenario is None:
+                scene = EmptyRoomScene(rng, settings.cameras, rate_hz, _ROOM_SETS)
+            else:
+                scene = ScenarioScene(rng, scenario, settings.cameras, rate_hz)
+            for segment, background, score in scores.values():
                 known = scene.backgrounds_m if background == "known" else {}
-                score.start_scene(PeopleSegmenter(known, people=max(scene.count, 1)), scene.count)
-            joints = FirstPersonErrors(scene) if settings.joints and settings.scenario == "meeting" else None
+                score.start_scene(_segmenter(settings, segment, known, max(scene.count, 1)), scene.count, in_view_m2)
+            joints = None
+            if settings.joints and settings.scenario == "meeting" and isinstance(scene, ScenarioScene):
+                joints = FirstPersonErrors(scene)
             description = f"{kind}, scene {index + 1} of {settings.scenes}"
             frames = scene.frames()
             for frame in track(frames, description, len(scene.times_s), console=console, transient=True):
-                for score in scores.values():
+                for _, _, score in scores.values():
                     score.add(frame)
                 if joints is not None:
                     joints.add(frame)
             if joints is not None:
                 for name, pairs in joints.finish(scene.frames(alone=True)).items():
                     errors.setdefault(name, []).append(pairs)
-        numbers |= {f"{kind}, background {background}": score.numbers() for background, score in scores.items()}
+        numbers |= {name: score.numbers() for name, (_, _, score) in scores.items()}
     if errors:
         numbers["first person's joints, cm"] = {name: _error_row(pairs) for name, pairs in errors.items()}
     _print(numbers, console)
@@ -147,8 +177,22 @@ def evaluate_people(settings: PeopleEvaluation, console: Console | None = None) 
     return numbers
 
 
-def _scenarios(settings: PeopleEvaluation) -> list[tuple[str, Scenario, tuple[str, ...]]]:
-    """Names, scenarios, and whether the background is known or learnt."""
+def _segmenter(
+    settings: PeopleEvaluation, segment: str, known: dict[str, ndarray], people: int
+) -> PeopleSegmenter | NetworkSegmenter:
+    if segment == "background":
+        return PeopleSegmenter(known, people=people)
+    return NetworkSegmenter(
+        known, people=people, background=segment == "auto", detector=PeopleDetector(settings.weights)
+    )
+
+
+def _scenarios(settings: PeopleEvaluation) -> list[tuple[str, Scenario | None, tuple[str, ...]]]:
+    """Names, scenarios (None for rooms without people), and whether the background is known or learnt."""
+    if settings.scenario == "postures":
+        return [(act, PostureScenario(act), ("learnt",)) for act in ACTS]
+    if settings.scenario == "rooms":
+        return [("rooms without people", None, ("learnt",))]
     if settings.scenario == "meeting":
         return [("meeting", Meeting(settings.apart_m), ("known", "learnt"))]
     if settings.scenario == "beside":
@@ -172,9 +216,9 @@ class TrackingScore:
         self._ghosts = self._sets = self._views = self._switches = 0
         self._spent_s = 0.0
 
-    def start_scene(self, segmenter: PeopleSegmenter, count: int) -> None:
-        """Start a scene with ``count`` people."""
-        self._segmenter = segmenter
+    def start_scene(self, segmenter: Segmenter, count: int, in_view_m2: float = IN_VIEW_M2) -> None:
+        """Start a scene with ``count`` people, who are in view from so much surface on."""
+        self._segmenter, self._in_view_m2 = segmenter, in_view_m2
         self._people = [_PersonState() for _ in range(count)]
 
     def add(self, frame: SceneFrame) -> None:
@@ -192,7 +236,7 @@ class TrackingScore:
         self._views += len(frame.frames.views)
         now_s, matched = frame.frames.timestamp_ns * 1e-9, set()
         for person, true_masks in zip(self._people, frame.masks, strict=True):
-            if visible_surface_m2(frame.frames, true_masks) < IN_VIEW_M2:
+            if visible_surface_m2(frame.frames, true_masks) < self._in_view_m2:
                 person.in_view_since_s = np.nan
                 continue
             if np.isnan(person.in_view_since_s):
@@ -223,10 +267,10 @@ class TrackingScore:
             person.numbers.append(number)
         person.last_detected_s = now_s
 
-    def numbers(self) -> dict[str, float | int]:
+    def numbers(self) -> dict[str, float | int | None]:
         """All counts, with names as in the JSON file."""
         overlaps, first_s = np.array(self._overlaps), np.array(self._first_s)
-        numbers: dict[str, float | int] = {
+        numbers: dict[str, float | int | None] = {
             "sets": self._sets,
             "ghost_sets": self._ghosts,
             "cpu_ms_per_view": self._spent_s * 1e3 / self._views,
@@ -241,8 +285,8 @@ class TrackingScore:
             "switches": self._switches,
             **{f"returns_{outcome}": count for outcome, count in self._returns.items()},
             "arrivals": len(first_s),
-            "first_mask_s_p50": float(np.median(first_s)),
-            "first_mask_s_most": float(first_s.max()),
+            "first_mask_s_p50": float(np.median(first_s)) if len(first_s) else None,
+            "first_mask_s_most": float(first_s.max()) if len(first_s) else None,
         }
 
 
@@ -345,7 +389,7 @@ def _print(numbers: dict[str, Any], console: Console) -> None:
             cells = [
                 f"{row['overlap_mean']:.3f}", f"{row['overlap_p5']:.3f}", f"{row['found_share']:.1%}",
                 f"{row['switches']}", f"{row['returns_old']}, {row['returns_new']}, {row['returns_wrong']}",
-                f"{row['first_mask_s_p50']:.2f}", f"{row['first_mask_s_most']:.2f}",
+                *("–" if row[key] is None else f"{row[key]:.2f}" for key in ("first_mask_s_p50", "first_mask_s_most")),
             ]  # fmt: skip
         table.add_row(name, f"{row['sets']}", *cells, f"{row['ghost_sets']}", f"{row['cpu_ms_per_view']:.2f}")
     console.print(table)

@@ -89,7 +89,7 @@ class Meeting:
     chair_pushed_s: tuple[float, float] | None = (7.0, 7.6)
 
     def actors(self, rng: np.random.Generator) -> list[DressedBody]:
-        return [_random_actor(rng) for _ in range(2)]
+        return [random_actor(rng) for _ in range(2)]
 
     def trajectories(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
         x, y = rng.uniform(-0.2, 0.2, 2)
@@ -213,7 +213,7 @@ class BesideFurniture:
         x, y = _BESIDE[int(rng.integers(len(_BESIDE)))]
         stops = [Stop(x, y), _stop(rng.uniform(-0.4, 0.4, 2), 1.0), Stop(-1.2, -0.3)]
         motion = stroll(stage.actors[0], stops, self.stands_s, 1.1, stage.times_s)
-        return [_sway(rng, motion)]
+        return [sway(rng, motion)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -236,7 +236,8 @@ def stature_m(dressed: DressedBody) -> float:
     return float(heights.max() - heights.min())
 
 
-def _random_actor(rng: np.random.Generator) -> DressedBody:
+def random_actor(rng: np.random.Generator) -> DressedBody:
+    """An adult of any build, dressed."""
     phenotype = random_phenotype(rng, children=False)
     return clothe(BodyModel.load().shape(phenotype), random_clothes(rng, False, phenotype.gender), rng)
 
@@ -273,7 +274,7 @@ def _joined(first: Motion, second: Motion, second_half: Bool[ndarray, " n"]) -> 
     )
 
 
-def _sway(rng: np.random.Generator, motion: Motion) -> Motion:
+def sway(rng: np.random.Generator, motion: Motion) -> Motion:
     """Add sway, because nobody stands still: 6 mm of the middle, 1° of trunk and head, 3° of the arms (standard
     deviations), within about a second."""
     rate_hz = (len(motion.times_s) - 1) / (motion.times_s[-1] - motion.times_s[0])

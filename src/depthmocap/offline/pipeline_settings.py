@@ -14,8 +14,7 @@ from depthmocap.offline.pipeline import Pipeline
 from depthmocap.pose.estimators import load_estimator
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.recordings.recording import Recording
-from depthmocap.segment.people_segmenter import PeopleSegmenter
-from depthmocap.segment.static_scene import Mode
+from depthmocap.segment.load_segmenter import Segmentation, load_segmenter
 from depthmocap.smooth.filters import AUTO, Bones, Smoothing, load_filter
 
 
@@ -24,7 +23,9 @@ class PipelineSettings:
     """How people are found and their poses estimated and smoothed.
 
     Attributes:
-        segment: "auto" finds the person in a static scene; "none" takes every valid pixel.
+        segment: "background" finds people by what differs from the empty scene, stands up and moves; "network" by their
+            shape, in any posture, also with a camera that moves; "auto" by their shape and the empty scene together;
+            "none" takes every valid pixel for one person.
         people: follow up to so many.
         smooth: a filter over time. "average" is the paper's weighted average of the last frames, "fixed-lag" waits for
             later ones; "auto" is "kalman" for recordings and cameras, and "none" for sets of pictures that do not
@@ -37,7 +38,7 @@ class PipelineSettings:
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
     """
 
-    segment: Mode = "auto"
+    segment: Segmentation = "background"
     people: int = 1
     smooth: Smoothing = "auto"
     lag_frames: int = 4
@@ -94,7 +95,7 @@ def load_pipeline(
     return Pipeline(
         Classifier(settings.weights),
         load_estimator(settings.estimator),
-        PeopleSegmenter.from_recording(source, settings.segment, settings.people),
+        load_segmenter(source, settings.segment, settings.people),
         source.up,
         smoothing,
     )

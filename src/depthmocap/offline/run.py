@@ -32,7 +32,7 @@ from depthmocap.offline.run_report import Pictures, write_run_report
 from depthmocap.pose.extrinsics_check import ExtrinsicsCheck
 from depthmocap.recordings.recording import Recording
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
-from depthmocap.segment.static_scene import Mode
+from depthmocap.segment.load_segmenter import Segmentation
 from depthmocap.text import camera_list, joined
 
 
@@ -214,12 +214,14 @@ class _Capture:
         }
 
 
-def _way_out(source: FrameSource, segment: Mode) -> str:
+def _way_out(source: FrameSource, segment: Segmentation) -> str:
     """What may help where nobody is found and nothing else is wrong."""
     ways = ["see that the cameras stand where the rig says (world_from_camera is no inverse) and that its up is right"]
-    if segment == "auto" and isinstance(source, Recording):
+    if segment == "background" and isinstance(source, Recording):
         unknown = [name for name in source.rig.names if source.background(name) is None]
         ways += [f"give the empty scene of {camera_list(unknown)} (background.png)"] if unknown else []
+
+    if segment != "none":
         ways += ["try --segment none if there is no room around the person"]
     return ", or ".join(ways)
 

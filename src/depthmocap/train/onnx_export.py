@@ -40,7 +40,7 @@ def export_onnx(network: Network, path: Path, metadata: dict[str, str]) -> Path:
     if network.size_step is not None:
         # As multiples of a number the exporter knows that what was halved and doubled fits again.
         sizes |= {i: network.size_step * torch.export.Dim(f"steps{i}", min=1, max=64) for i in (2, 3)}
-    with _quiet():
+    with quiet():
         program = torch.onnx.export(
             network, (example,), input_names=["windows"], output_names=outputs, dynamo=True, verbose=False,
             dynamic_shapes={"x": sizes},
@@ -57,7 +57,7 @@ def export_onnx(network: Network, path: Path, metadata: dict[str, str]) -> Path:
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """Without the exporter's warnings about its own futures and about packages that are not needed here."""
     logger = logging.getLogger("torch.onnx")
     level = logger.level

@@ -284,7 +284,7 @@ def _batches(run: _Run, data: Dataset[LabelledWindow]) -> Iterator[LabelledBatch
         prefetch_factor=6 if settings.workers else None,
         # Forking after OpenMP has run can hang the child.
         multiprocessing_context="spawn" if settings.workers else None,
-        persistent_workers=settings.workers > 0, worker_init_fn=_begin_worker,
+        persistent_workers=settings.workers > 0, worker_init_fn=begin_worker,
     )  # fmt: skip
     if run.network.learns_background:  # the windows of the paper's network are of one size
         return (batch for windows in loader for batch in sorted_batches(windows, settings.batch))
@@ -309,7 +309,7 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     data = settings.source.train(run.images)
     valid = settings.source.valid(settings.valid_images)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Terminal()) as progress, _at_interruption(run.save):
+    with Progress(*columns, console=Terminal()) as progress, save_at_interruption(run.save):
         task = progress.add_task("training", total=1.0)
         progress.update(task, completed=run.progress)
         clock = time.monotonic()
@@ -326,14 +326,14 @@ def train_classifier(settings: ClassifierTraining) -> Path:
                 row = run.validate(valid)
                 progress.console.print({k: round(v, 4) for k, v in row.items()})
                 run.save()
-                _write_history(settings.out, run.history)
+                write_history(settings.out, run.history)
             else:
                 run.save_at_times()
     run.save()
     return run.export(data)
 
 
-def _begin_worker(_: int) -> None:
+def begin_worker(_: int) -> None:
     """Let SIGTERM end a worker at once: torch ends its workers so, and counts an exit as no failure."""
     ignore_signals()
     signal.signal(signal.SIGTERM, lambda *_: os._exit(0))
@@ -355,7 +355,7 @@ def check_device(name: str) -> None:
 
 
 @contextlib.contextmanager
-def _at_interruption(save: Callable[[], None]) -> Iterator[None]:
+def save_at_interruption(save: Callable[[], None]) -> Iterator[None]:
     """Save when Ctrl-C ends the block."""
     try:
         yield
@@ -365,7 +365,7 @@ def _at_interruption(save: Callable[[], None]) -> Iterator[None]:
         raise
 
 
-def _write_history(out: Path, history: list[dict[str, int | float]]) -> None:
+def write_history(out: Path, history: list[dict[str, int | float]]) -> None:
     from depthmocap.report.charts import loss_curves
 
     write_file(out / "history.jsonl", "".join(json.dumps(row) + "\n" for row in history))

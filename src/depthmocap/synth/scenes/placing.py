@@ -26,16 +26,16 @@ class Place:
 
     Args:
         eyes: positions of the cameras.
-        joints: of the person who must stay visible.
+        joints: of the person (or people) who must stay visible.
         seen_by_one, seen_by_each: shares of the joints that one camera and every camera must see.
     """
 
     def __init__(
-        self, eyes: Float[ndarray, "c 3"], joints: Float[ndarray, "18 3"], seen_by_one: float, seen_by_each: float
+        self, eyes: Float[ndarray, "c 3"], joints: Float[ndarray, "j 3"], seen_by_one: float, seen_by_each: float
     ) -> None:
         self.eyes, self.joints = eyes, joints
         self._least = (seen_by_one, seen_by_each)
-        self._hidden: Bool[ndarray, "c 18"] = np.zeros((len(eyes), len(joints)), dtype=np.bool_)
+        self._hidden: Bool[ndarray, "c j"] = np.zeros((len(eyes), len(joints)), dtype=np.bool_)
         #: The skin and clothes of all people.
         self.points: Float[ndarray, "p 3"] = np.zeros((0, 3))
         self._footprints: list[Float[ndarray, "4 2"]] = []

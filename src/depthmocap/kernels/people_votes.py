@@ -1,0 +1,151 @@
+"""Samples that show people, their votes for the centres of people, and masks at full resolution."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+
+@numba.njit(cache=True, nogil=True)
+def lift_people(
+    samples_m, logits, offsets, rays, world_from_camera, least, farthest_m, sample_m2, indices, points, votes, areas
+):
+    """Write index, world position, vote for the centre and surface (m²) of every sample whose logit is above ``least``;
+    their number.
+
+    Args:
+        samples_m, logits: (2h, 2w).
+        offsets: (3, h, w) metres, in the camera's axes.
+        rays: (2h, 2w, 2) x/z and y/z.
+        least: (2h, 2w) the logit that a sample needs.
+        farthest_m: samples from this depth on (metres) are left out.
+        sample_m2: surface that a sample shows at a metre (m²).
+    """
+    rows, columns = samples_m.shape
+    r, count = world_from_camera, 0
+    for i in range(rows):
+        for j in range(columns):
+            if not logits[i, j] > least[i, j]:
+                continue
+            z = samples_m[i, j]
+            x, y = rays[i, j, 0] * z, rays[i, j, 1] * z
+            if not 0 < z < farthest_m or np.isnan(x):
+                continue
+            a = x + offsets[0, i // 2, j // 2]
+            b = y + offsets[1, i // 2, j // 2]
+            c = z + offsets[2, i // 2, j // 2]
+            indices[count] = i * columns + j
+            for k in range(3):
+                points[count, k] = r[k, 0] * x + r[k, 1] * y + r[k, 2] * z + r[k, 3]
+                votes[count, k] = r[k, 0] * a + r[k, 1] * b + r[k, 2] * c + r[k, 3]
+            areas[count] = z * z * sample_m2
+            count += 1
+    return count
+
+
+@numba.njit(cache=True, nogil=True)
+def assign_votes(votes, areas, centres, reach_m, owners, sums):
+    """Write the nearest centre within ``reach_m`` of each vote (-1 for none), and add to ``sums`` (centre; m², m² · x,
+    m² · y, m² · z)."""
+    sums[:] = 0
+    for i in range(len(votes)):
+        best, owner = reach_m * reach_m, -1
+        for k in range(len(centres)):
+            squared = 0.0
+            for axis in range(3):
+                squared += (votes[i, axis] - centres[k, axis]) ** 2
+            if squared < best:
+                best, owner = squared, k
+        owners[i] = owner
+        if owner >= 0:
+            sums[owner, 0] += areas[i]
+            for axis in range(3):
+                sums[owner, 1 + axis] += areas[i] * votes[i, axis]
+
+
+@numba.njit(cache=True, nogil=True)
+def densest_vote(votes, areas, owners, most, reach_m, centre):
+    """The surface (m²) of the votes without owner within ``reach_m`` of where they are densest, and their mean in
+    ``centre``. At most ``most`` places are tried before the best one is refined."""
+    open_votes = np.flatnonzero(owners < 0)
+    count = len(open_votes)
+    best = 0.0
+    squared_reach = reach_m * reach_m
+    step = max(count // most, 1)
+    for first in range(0, count, step):
+        i = open_votes[first]
+        total = 0.0
+        for j in open_votes:
+            squared = 0.0
+            for axis in range(3):
+                squared += (votes[j, axis] - votes[i, axis]) ** 2
+            if squared < squared_reach:
+                total += areas[j]
+        if total > best:
+            best = total
+            centre[:] = votes[i]
+    total = best
+    for _ in range(3):  # mean shift
+        if total <= 0:
+            return 0.0
+        sums, total = np.zeros(3), 0.0
+        for j in open_votes:
+            squared = 0.0
+            for axis in range(3):
+                squared += (votes[j, axis] - centre[axis]) ** 2
+            if squared < squared_reach:
+                total += areas[j]
+                for axis in range(3):
+                    sums[axis] += areas[j] * votes[j, axis]
+        if total > 0:
+            for axis in range(3):
+                centre[axis] = sums[axis] / total
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+def paint_people(depth_m, limit_m, row_starts, column_starts, samples_m, labels, beyond_limit, step_m, out):
+    """Write the label of every pixel: that of the sample among the nearest nine whose depth it continues.
+
+    Args:
+        limit_m: pixels from this depth on are background, except next to samples of ``beyond_limit``.
+        row_starts, column_starts: first pixel of each sample, and one after the last.
+        samples_m, labels: (2h, 2w) depth (metres) and label of each sample, 0 for no person.
+        step_m: largest difference in depth (metres) within a surface.
+        out: (h, w) uint8, zeros.
+    """
+    rows, columns = labels.shape
+    for i in range(rows):
+        for j in range(columns):
+            top, bottom = max(i - 1, 0), min(i + 2, rows)
+            left, right = max(j - 1, 0), min(j + 2, columns)
+            least, most = 255, 0
+            for y in range(top, bottom):
+                for x in range(left, right):
+                    least, most = min(least, labels[y, x]), max(most, labels[y, x])
+            if most == 0:
+                continue
+            if least == most:  # within one person: what is near the middle of nine in depth is theirs
+                middle, free = samples_m[i, j], beyond_limit[i, j] > 0
+                for v in range(row_starts[i], row_starts[i + 1]):
+                    for u in range(column_starts[j], column_starts[j + 1]):
+                        z = depth_m[v, u]
+                        if z > 0 and abs(z - middle) < step_m and (free or z < limit_m[v, u]):
+                            out[v, u] = most
+                continue
+            for v in range(row_starts[i], row_starts[i + 1]):
+                for u in range(column_starts[j], column_starts[j + 1]):
+                    z = depth_m[v, u]
+                    if not z > 0:
+                        continue
+                    best, label, free = np.float32(1e9), 0, False
+                    for y in range(top, bottom):
+                        for x in range(left, right):
+                            other = samples_m[y, x]
+                            if other > 0:
+                                gap = abs(other - z)
+                                cost = gap + np.float32(0.01) * (abs(y - i) + abs(x - j))
+                                if cost < best and gap < step_m:
+                                    best, label, free = cost, labels[y, x], beyond_limit[y, x] > 0
+                    if label and (z < limit_m[v, u] or free):
+                        out[v, u] = label

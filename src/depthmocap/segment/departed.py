@@ -1,0 +1,67 @@
+"""Who has left, and whether somebody new is one of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+#: A person who has left keeps their number for this time (seconds).
+AWAY_S = 60.0
+#: Somebody new gets the number of a person who has left if their statures differ by less than this (metres)
+SAME_HEIGHT_M = 0.03
+#: and every other person who has left differs by this much more (metres).
+CLEARLY_M = 0.03
+#: A person who was hidden for no longer than this (seconds) is recognised by the place, too:
+HIDDEN_S = 4.0
+#: within this distance of where they were last seen (metres), and this much more for each second (m/s),
+HIDDEN_M, HIDDEN_MPS = 0.5, 0.8
+#: unless both statures are known and differ by more than this (metres).
+OTHER_HEIGHT_M = 0.08
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Departed:
+    """A person who has left: number, stature (metres, NaN if unknown), least stature, and where and when last seen."""
+
+    number: int
+    stature_m: float
+    least_m: float
+    position_m: Float[ndarray, "3"]
+    last_seen_s: float
+
+
+def match_stature(departed: Sequence[Departed], stature_m: float) -> Departed | None:
+    """The one of this stature; None when none clearly matches.
+
+    A person whose stature was never measured is at least as tall as ``least_m``, and matches nobody.
+    """
+    differences_m = [
+        max(away.least_m - stature_m, 0.0) if np.isnan(away.stature_m) else abs(away.stature_m - stature_m)
+        for away in departed
+    ]
+    order = np.argsort(differences_m)
+    if not len(order) or np.isnan(stature_m):
+        return None
+    best = departed[order[0]]
+    clearly = len(order) == 1 or differences_m[order[1]] - differences_m[order[0]] >= CLEARLY_M
+    if np.isnan(best.stature_m) or differences_m[order[0]] > SAME_HEIGHT_M or not clearly:
+        return None
+    return best
+
+
+def match_place(
+    departed: Sequence[Departed], position_m: Float[ndarray, "3"], stature_m: float, now_s: float
+) -> Departed | None:
+    """The one who was hidden near this place a short time ago; None when there is none, or several."""
+    near = []
+    for away in departed:
+        hidden_s = now_s - away.last_seen_s
+        other = abs(away.stature_m - stature_m) > OTHER_HEIGHT_M  # False where one is NaN
+        distance_m = float(np.linalg.norm(away.position_m - position_m))
+        if hidden_s <= HIDDEN_S and distance_m < HIDDEN_M + HIDDEN_MPS * hidden_s and not other:
+            near.append(away)
+    return near[0] if len(near) == 1 else None

@@ -1,0 +1,200 @@
+"""Segmentation and tracking of people by the network that finds them, in any posture and without an empty scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray
+
+from depthmocap.frames import FrameSet, FrameSource, View
+from depthmocap.geometry import z_up_from
+from depthmocap.kernels.people_votes import paint_people
+from depthmocap.segment.background import FAR_M, BackgroundModel
+from depthmocap.segment.depth_grid import DepthGrid
+from depthmocap.segment.people_detector import SURE_LOGIT, DetectedPeople, PeopleDetector, grid_of, person_mask
+from depthmocap.segment.people_segmenter import PersonMasks
+from depthmocap.segment.person_tracks import PersonTrack, PersonTracker, Votes, measure_statures
+
+#: Neighbouring pixels whose depths differ by less than this (metres) show one surface.
+STEP_M = 0.1
+#: So many points of somebody are looked up in all views.
+_POINTS = 80
+#: A view sees somebody if it sees this share of the points.
+_LEAST_SEEN = 0.15
+
+
+class NetworkSegmenter:
+    """Finds people by a network and follows them in space.
+
+    Every sample that shows a person votes for the centre of that person's trunk. The votes of all cameras form a
+    cluster for each person, which is tracked. With ``background`` each camera's empty scene is learnt, except where
+    people are, and sharpens the masks: what lies on it is nobody.
+
+    Attributes:
+        people: the most people returned. A person once selected stays selected until they leave; free places go to
+            those with the largest visible surface.
+        problems: what makes good masks unlikely, one line each.
+    """
+
+    def __init__(
+        self,
+        backgrounds_m: Mapping[str, Float[ndarray, "_ _"]],
+        up: str = "z",
+        people: int = 1,
+        background: bool = True,
+        detector: PeopleDetector | None = None,
+    ) -> None:
+        """
+        Args:
+            backgrounds_m: empty scenes, depth in metres by camera name, 0 where not known; of any of the cameras.
+            up: the world's up axis.
+            background: whether empty scenes are used and learnt.
+        """
+        self.people, self.problems = people, []
+        self._detector = detector or PeopleDetector()
+        self._up = z_up_from(up)[2]
+        self._known = set(backgrounds_m)
+        self._backgrounds: dict[str, BackgroundModel] | None = (
+            {name: BackgroundModel((m.shape[0], m.shape[1]), m) for name, m in backgrounds_m.items()}
+            if background
+            else None
+        )
+        self._grids: dict[str, DepthGrid] = {}
+        #: By camera: the foreground limit, and the same at the samples of its grid.
+        self._limits: dict[str, tuple[ndarray, ndarray]] = {}
+        self._pool = ThreadPoolExecutor(max_workers=4)
+        self.reset()
+
+    @classmethod
+    def for_source(cls, source: FrameSource, people: int = 1, background: bool = True) -> NetworkSegmenter:
+        """A segmenter that knows the empty scenes of a source, as far as it has them."""
+        empty = {name: source.background(name) for name in source.camera_names} if background else {}
+        known = {name: background_m for name, background_m in empty.items() if background_m is not None}
+        return cls(known, source.up, people, background)
+
+    def reset(self) -> None:
+        """Forget everybody; what is known of the empty scene is kept."""
+        self._tracker = PersonTracker()
+        self._followed_numbers: list[int] = []
+
+    def __call__(self, frames: FrameSet) -> tuple[PersonMasks, ...]:
+        """The people in a frame set, those selected first at the front; an empty tuple when nobody is there."""
+        views, now_s = frames.views, frames.timestamp_ns * 1e-9
+        if not views:
+            return ()
+        if all(view.mask is not None for view in views):
+            masks = tuple(view.mask for view in views if view.mask is not None)
+            return (PersonMasks(1, masks),) if any(mask.any() for mask in masks) else ()
+        depths = [np.ascontiguousarray(view.depth_m, np.float32) for view in views]
+        grids = [self._grid(view) for view in views]
+        limits = [self._limit(view) for view in views]
+        detected = list(self._pool.map(self._detect, views, depths, grids, limits))
+        votes = Votes(
+            np.concatenate([view.votes for view in detected]),
+            np.concatenate([view.points for view in detected]),
+            np.concatenate([view.areas_m2 for view in detected]),
+            np.concatenate([_certainties(view) for view in detected]),
+        )
+        labels = self._tracker.update(votes, now_s, lambda points: probability_in_views(points, detected))
+        measure_statures(self._tracker.active, votes, labels, self._up, now_s)
+        of_views = np.split(labels, np.cumsum([len(view.indices) for view in detected])[:-1])
+        images = list(self._pool.map(_paint, depths, detected, of_views, limits))
+        self._learn(frames, depths, detected)
+        return tuple(
+            PersonMasks(track.number, tuple(image == track.label for image in images)) for track in self._select()
+        )
+
+    def _grid(self, view: View) -> DepthGrid:
+        name = view.camera.name
+        if name not in self._grids or self._grids[name].camera is not view.camera:
+            self._grids[name] = grid_of(view.camera, self._up)
+        return self._grids[name]
+
+    def _limit(self, view: View) -> Float[ndarray, "h w"] | None:
+        """The depth from which on a pixel shows the empty scene, ``FAR_M`` or more where it is unknown."""
+        if self._backgrounds is None:
+            return None
+        name, shape = view.camera.name, view.depth_m.shape
+        background = self._backgrounds.get(name)
+        if background is None or background.shape != shape:
+            background = self._backgrounds[name] = BackgroundModel((shape[0], shape[1]))
+        return background.limit_m
+
+    def _detect(
+        self, view: View, depth_m: ndarray, grid: DepthGrid, limit_m: Float[ndarray, "h w"] | None
+    ) -> DetectedPeople:
+        if limit_m is None:
+            return self._detector(grid, depth_m)
+        name = view.camera.name
+        if name not in self._limits or self._limits[name][0] is not limit_m:
+            samples_m = grid.samples(limit_m)
+            self._limits[name] = limit_m, np.where(samples_m > 0, samples_m, FAR_M)
+        limits = self._limits[name][1]
+        return self._detector(grid, depth_m, limits, np.inf if name in self._known else SURE_LOGIT)
+
+    def _learn(self, frames: FrameSet, depths: Sequence[ndarray], detected: Sequence[DetectedPeople]) -> None:
+        if self._backgrounds is None:
+            return
+        for view, depth_m, people in zip(frames.views, depths, detected, strict=True):
+            background = self._backgrounds[view.camera.name]
+            if background.is_due(frames.timestamp_ns):
+                background.update(depth_m, _occupied(people, depth_m.shape), frames.timestamp_ns)
+
+    def _select(self) -> list[PersonTrack]:
+        people = {track.number: track for track in self._tracker.active if track.number}
+        self._followed_numbers = [number for number in self._followed_numbers if number in people]
+        others = sorted(set(people) - set(self._followed_numbers), key=lambda number: -people[number].area_m2)
+        self._followed_numbers += others[: self.people - len(self._followed_numbers)]
+        return [people[number] for number in self._followed_numbers if people[number].area_m2 > 0]
+
+
+def probability_in_views(points: Float[ndarray, "n 3"], detected: Sequence[DetectedPeople]) -> float:
+    """The mean probability that points show a person, over all views that see them: one view alone may err.
+
+    Returns:
+        0–1; 0 where no view sees the points.
+    """
+    points = points[:: max(len(points) // _POINTS, 1)]
+    of_views = []
+    for view in detected:
+        u, v, z = view.grid.camera.project(points).T
+        rows, columns = view.grid.samples_at(np.nan_to_num(np.stack([u, v], 1), nan=-1.0))
+        seen = (rows >= 0) & (np.abs(view.samples_m[rows, columns] - z) < STEP_M)
+        if np.count_nonzero(seen) >= _LEAST_SEEN * len(points):
+            of_views.append(float(np.mean(1 / (1 + np.exp(-view.logits[rows[seen], columns[seen]])))))
+    return float(np.mean(of_views)) if of_views else 0.0
+
+
+def _certainties(detected: DetectedPeople) -> Float[ndarray, " n"]:
+    return 1 / (1 + np.exp(-detected.logits.ravel()[detected.indices]))
+
+
+def _paint(
+    depth_m: ndarray, detected: DetectedPeople, labels: ndarray, limit_m: Float[ndarray, "h w"] | None
+) -> UInt8[ndarray, "h w"]:
+    """The label of every pixel."""
+    out = np.zeros(depth_m.shape, np.uint8)
+    of_samples = np.zeros(detected.samples_m.shape, np.uint8)
+    of_samples.reshape(-1)[detected.indices] = labels
+    if not of_samples.any():
+        return out
+    beyond = (detected.logits > SURE_LOGIT).view(np.uint8)
+    if limit_m is None:
+        limit_m = np.full((1, 1), np.inf, np.float32)
+        limit_m = np.broadcast_to(limit_m, depth_m.shape)
+    grid = detected.grid
+    paint_people(
+        depth_m, limit_m, grid.row_starts, grid.column_starts, detected.samples_m, of_samples, beyond, STEP_M, out
+    )
+    return out
+
+
+def _occupied(detected: DetectedPeople, shape: tuple[int, int]) -> Bool[ndarray, "h w"]:
+    """Pixels near samples that show people, at full resolution."""
+    grid, mask = detected.grid, person_mask(detected)
+    rows = np.repeat(np.arange(mask.shape[0]), np.diff(grid.row_starts))
+    columns = np.repeat(np.arange(mask.shape[1]), np.diff(grid.column_starts))
+    return mask[rows][:, columns]

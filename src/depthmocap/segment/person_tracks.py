@@ -1,0 +1,318 @@
+"""Tracking of people by the centres that a network votes for: they keep their number in any posture."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray
+
+from depthmocap.kernels.people_votes import assign_votes, densest_vote
+from depthmocap.segment.departed import AWAY_S, Departed, match_place, match_stature
+
+#: Votes within this distance of a centre are for it (metres): a centre is known to some 10 cm, from limbs to 30 cm.
+REACH_M = 0.55
+#: New centres are looked for with this reach (metres): two who touch stand about so far apart.
+NEW_REACH_M = 0.3
+#: So many places are tried for a new centre.
+PLACES = 100
+#: So many new centres are looked for in one set.
+NEW_CENTRES = 40
+#: A new centre needs this much surface (m²): a head and shoulders at any distance,
+NEW_M2 = 0.05
+#: and must be this far from all others (metres); nearer votes belong to the other person's limbs.
+APART_M = 0.3
+#: Votes with less surface than this (m²)
+PART_M2 = 0.1
+#: and within this distance of a centre (metres) are for limbs of that person.
+PART_M = 0.9
+#: Two heaps of votes are one if they are nowhere between their middles lower than this share of the lower middle,
+VALLEY = 0.6
+#: counted this far on both sides of each place (metres).
+VALLEY_M = 0.08
+#: A track with less surface than this (m²) is not seen.
+SEEN_M2 = 0.01
+#: A track becomes a person when it was seen in so many sets
+SETS_NEEDED = 3
+#: over at least this time (seconds),
+CERTAIN_S = 0.1
+#: if the network's certainty of its samples is on average at least this.
+CERTAINTY = 0.6
+#: The time over which certainty is averaged (seconds).
+CERTAINTY_S = 0.2
+#: Of what has moved so far (metres) less certainty will do, because furniture stays where it is.
+MOVED_M, MOVED_CERTAINTY = 0.25, 0.4
+#: A track unseen for this time ends (seconds); one that is no person yet ends sooner.
+GONE_S, UNBORN_S = 1.0, 0.3
+#: Two tracks nearer to each other than this (metres) are one person, if the younger is no older than this (seconds)
+SAME_M, SAME_S = 0.3, 1.0
+#: Share of the residual by which an update corrects position and velocity.
+POSITION_GAIN, VELOCITY_GAIN = 0.6, 0.2
+#: Motion is predicted for no longer than this (seconds): an unseen person may have stopped.
+PREDICT_S = 0.3
+#: Bound of the speed (m/s): nobody runs faster indoors.
+FASTEST_MPS = 4.0
+#: Statures are measured so far apart in time (seconds),
+MEASURE_S = 0.06
+#: and kept, up to so many; from so many on they tell.
+STATURES_KEPT, STATURES_NEEDED = 60, 6
+#: While others are away, a new track waits for its stature before it gets a number, but no longer than this (seconds).
+RECOGNISE_S = 1.2
+
+
+@dataclasses.dataclass(eq=False)
+class PersonTrack:
+    """Somebody, or something that resembles a person.
+
+    Attributes:
+        label: tells active tracks apart, 1–254.
+        centre_m: the middle of the trunk in the world.
+        number: from 1; 0 while it is not certain to be a person.
+        area_m2: visible surface now, 0 when hidden.
+        certainty: average probability of the samples, over the last ``CERTAINTY_S``.
+        probability: the same of all views that see the person, also of those that take them for something else.
+        start_m: where the track began.
+        sets, missed_sets: in how many sets it was seen, and in how many it has been hidden since.
+        statures_m: measured while the person was upright and in full view.
+    """
+
+    label: int
+    centre_m: Float[ndarray, "3"]
+    start_s: float
+    number: int = 0
+    last_seen_s: float = 0.0
+    area_m2: float = 0.0
+    certainty: float = 0.0
+    probability: float = 0.0
+    sets: int = 0
+    missed_sets: int = 0
+    start_m: Float[ndarray, "3"] = dataclasses.field(default_factory=lambda: np.zeros(3))
+    velocity_mps: Float[ndarray, "3"] = dataclasses.field(default_factory=lambda: np.zeros(3))
+    predicted_m: Float[ndarray, "3"] = dataclasses.field(default_factory=lambda: np.zeros(3))
+    statures_m: list[float] = dataclasses.field(default_factory=list)
+    measured_s: float = -np.inf
+
+    def predict(self, now_s: float) -> None:
+        """Predict the centre at constant velocity."""
+        self.predicted_m = self.centre_m + self.velocity_mps * min(now_s - self.last_seen_s, PREDICT_S)
+
+    def update(self, centre_m: Float[ndarray, "3"], area_m2: float, certainty: float, now_s: float) -> None:
+        """Correct the prediction by a measurement."""
+        passed_s = max(now_s - self.last_seen_s, 1e-3)
+        residual = centre_m - self.predicted_m
+        self.centre_m = self.predicted_m + POSITION_GAIN * residual
+        # The first measurement corrects where the track began, which was no motion.
+        velocity = self.velocity_mps + (VELOCITY_GAIN * residual / passed_s if self.sets else 0.0)
+        self.velocity_mps = velocity * min(1.0, FASTEST_MPS / max(float(np.linalg.norm(velocity)), 1e-9))
+        share = 1.0 if not self.sets else min(1.0, passed_s / CERTAINTY_S)
+        self.certainty += share * (certainty - self.certainty)
+        self.area_m2, self.last_seen_s = area_m2, now_s
+        self.sets, self.missed_sets = self.sets + 1, 0
+
+    def add_probability(self, probability: float) -> None:
+        """Lower the certainty where other views contradict."""
+        self.probability += (1.0 if self.sets <= 1 else 0.4) * (probability - self.probability)
+        self.certainty = min(self.certainty, self.probability)
+
+    def add_stature(self, stature_m: float, now_s: float) -> None:
+        """Add a measured stature (metres)."""
+        self.statures_m = [*self.statures_m[1 - STATURES_KEPT :], stature_m]
+        self.measured_s = now_s
+
+    @property
+    def stature_m(self) -> float:
+        """An upper quantile of the measured statures, because people bob and bend; NaN before there are enough."""
+        if len(self.statures_m) < STATURES_NEEDED:
+            return np.nan
+        return float(np.quantile(self.statures_m, 0.75))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Votes:
+    """Samples of all cameras that show people.
+
+    Attributes:
+        places: what each votes for: the centre of its person in the world (metres).
+        points: where each is (metres).
+        areas_m2: its surface.
+        certainties: the network's probability that it shows a person.
+    """
+
+    places: Float[ndarray, "n 3"]
+    points: Float[ndarray, "n 3"]
+    areas_m2: Float[ndarray, " n"]
+    certainties: Float[ndarray, " n"]
+
+
+class PersonTracker:
+    """Tracks of people. Labels 1–254 tell the active tracks apart, and are used again; numbers belong to one person."""
+
+    def __init__(self) -> None:
+        self.active: list[PersonTrack] = []
+        self._departed: list[Departed] = []
+        self._last_number = 0
+
+    def update(
+        self, votes: Votes, now_s: float, probability: Callable[[Float[ndarray, "n 3"]], float] | None = None
+    ) -> Int[ndarray, " n"]:
+        """Follow everybody into the next set; the label of each vote's track, 0 for none.
+
+        Args:
+            probability: that points (metres) show a person, in all views that see them; it decides who becomes a
+                person, instead of the certainty of the votes alone.
+        """
+        for track in self.active:
+            track.predict(now_s)
+        centres = np.array([track.predicted_m for track in self.active], np.float32).reshape(-1, 3)
+        owners, sums, centres = _cluster(votes, centres)
+        taken = {track.label for track in self.active}
+        free = (label for label in range(1, 255) if label not in taken)
+        for centre, label in zip(centres[len(self.active) :], free, strict=False):
+            self.active.append(
+                PersonTrack(
+                    label,
+                    centre.astype(float),
+                    now_s,
+                    last_seen_s=now_s,
+                    predicted_m=centre.astype(float),
+                    start_m=centre.astype(float),
+                )
+            )
+        certainties = _certainties(votes, owners, len(centres))
+        for k, track in enumerate(self.active):
+            track.area_m2, track.missed_sets = 0.0, track.missed_sets + 1
+            if sums[k, 0] > SEEN_M2:
+                area = float(sums[k, 0])
+                track.update(sums[k, 1:] / sums[k, 0], area, float(certainties[k]), now_s)
+        labels = np.array([0, *(track.label for track in self.active)])[
+            np.where(owners < len(self.active), owners, -1) + 1
+        ]
+        self._end(now_s)
+        for track in self.active:
+            if not track.number and track.area_m2 > 0:
+                if probability is not None:
+                    track.add_probability(probability(votes.points[labels == track.label]))
+                self._identify(track, now_s)
+        return np.where(np.isin(labels, [track.label for track in self.active]), labels, 0)
+
+    def _end(self, now_s: float) -> None:
+        """End tracks that are gone, and young ones that are a part of another."""
+        kept: list[PersonTrack] = []
+        for track in sorted(self.active, key=lambda track: (track.number == 0, track.start_s)):
+            unseen_s = now_s - track.last_seen_s
+            same = now_s - track.start_s < SAME_S and any(
+                np.linalg.norm(track.centre_m - other.centre_m) < SAME_M for other in kept
+            )
+            gone = unseen_s > GONE_S if track.number else unseen_s > UNBORN_S and track.missed_sets > 1
+            if gone or same:
+                if track.number:
+                    stature = track.stature_m
+                    least = max(track.statures_m, default=0.0)
+                    self._departed.append(Departed(track.number, stature, least, track.centre_m, track.last_seen_s))
+            else:
+                kept.append(track)
+        self.active = kept
+        self._departed = [away for away in self._departed if now_s - away.last_seen_s < AWAY_S]
+
+    def _identify(self, track: PersonTrack, now_s: float) -> None:
+        """Give a track a number once it is certain to be a person."""
+        age_s = now_s - track.start_s
+        moved = float(np.linalg.norm(track.centre_m - track.start_m)) > MOVED_M and age_s > CERTAINTY_S
+        if track.sets < SETS_NEEDED or age_s < CERTAIN_S or track.certainty < (MOVED_CERTAINTY if moved else CERTAINTY):
+            return
+        match = match_place(self._departed, track.centre_m, track.stature_m, now_s)
+        if match is None:
+            if self._departed and np.isnan(track.stature_m) and age_s < RECOGNISE_S:
+                return
+            match = match_stature(self._departed, track.stature_m)
+        if match is None:
+            self._last_number += 1
+            track.number = self._last_number
+        else:
+            self._departed.remove(match)
+            track.number = match.number
+
+
+def _certainties(votes: Votes, owners: Int[ndarray, " n"], count: int) -> Float[ndarray, " k"]:
+    """The mean probability of each owner's samples, in which probable ones count more: the rim of a person is never
+    certain."""
+    owned = owners >= 0
+    weights = (votes.areas_m2 * votes.certainties)[owned]
+    sums = np.bincount(owners[owned], weights, count)
+    return np.bincount(owners[owned], weights * votes.certainties[owned], count) / np.maximum(sums, 1e-9)
+
+
+def _cluster(
+    votes: Votes, centres: Float[ndarray, "k 3"]
+) -> tuple[Int[ndarray, " n"], Float[ndarray, "m 4"], Float[ndarray, "m 3"]]:
+    """The owner of each vote (-1 for none), the sums of each owner (m², m² · place), and all centres: the predicted
+    ones, then new ones."""
+    places, areas = votes.places, votes.areas_m2
+    owners = np.full(len(places), -1)
+    sums = np.zeros((len(centres), 4))
+    for _ in range(2 if len(centres) else 0):
+        assign_votes(places, areas, centres, REACH_M, owners, sums)
+        moved = sums[:, 1:] / np.maximum(sums[:, :1], 1e-9)
+        centres = np.where(sums[:, :1] > SEEN_M2, moved, centres).astype(np.float32)
+    # Votes are the same for all samples of a cell; what is left may be somebody new.
+    left = owners.copy()
+    for _ in range(NEW_CENTRES):
+        centre = np.zeros(3)
+        area = densest_vote(places, areas, left, PLACES, NEW_REACH_M, centre)
+        if area < NEW_M2:
+            break
+        near = (np.linalg.norm(places - centre, axis=1) < NEW_REACH_M) & (left < 0)
+        if not near.any():
+            break
+        distances = np.linalg.norm(centres - centre, axis=1)
+        nearest = int(distances.argmin()) if len(centres) else -1
+        limb = nearest >= 0 and (
+            distances[nearest] < APART_M
+            or (distances[nearest] < PART_M and (area < PART_M2 or _one_heap(votes, centres[nearest], centre)))
+        )
+        if limb:
+            left[near] = nearest
+        else:
+            centres = np.concatenate([centres, centre[None].astype(np.float32)])
+            left[near] = len(centres) - 1
+    if not len(centres):
+        return owners, np.zeros((0, 4)), centres
+    sums = np.zeros((len(centres), 4))
+    assign_votes(places, areas, centres, REACH_M, owners, sums)
+    # Few votes that are farther off are for limbs.
+    far = np.empty(len(places), np.int64)
+    assign_votes(places, areas, centres, PART_M, far, np.empty_like(sums))
+    owners = np.where(owners < 0, np.where(left >= 0, left, far), owners)
+    return owners, sums, centres
+
+
+def _one_heap(votes: Votes, one: Float[ndarray, "3"], other: Float[ndarray, "3"]) -> bool:
+    """Whether the votes about two centres have no valley between them: those for one person, who lies perhaps."""
+    line = other - one
+    length = float(np.linalg.norm(line))
+    along = (votes.places - one) @ (line / length)
+    aside = np.linalg.norm(votes.places - one - along[:, None] * (line / length), axis=1)
+    places = np.linspace(0, length, 9)
+    kernel = np.abs(along[:, None] - places) < VALLEY_M
+    heights = (votes.areas_m2[:, None] * (kernel & (aside < REACH_M)[:, None])).sum(0)
+    return bool(heights[1:-1].min() > VALLEY * min(heights[0], heights[-1]))
+
+
+def measure_statures(
+    tracks: Sequence[PersonTrack], votes: Votes, labels: Int[ndarray, " n"], up: ndarray, now_s: float
+) -> None:
+    """Measure everybody who stands upright in full view: from the lowest to the highest point along ``up``."""
+    heights = votes.points @ up
+    for track in tracks:
+        if now_s - track.measured_s < MEASURE_S or not track.area_m2:
+            continue
+        own = heights[labels == track.label]
+        if len(own) < 100:
+            continue
+        low, high = np.partition(own, [2, len(own) - 3])[[2, len(own) - 3]]
+        middle = float(track.centre_m @ up)
+        # Of somebody upright and whole the trunk's middle is a little over half of the height.
+        if high - low > 1.1 and 0.5 < (middle - low) / (high - low) < 0.75 and track.area_m2 > 0.3:
+            track.add_stature(float(high - low), now_s)

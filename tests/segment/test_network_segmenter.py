@@ -1,0 +1,187 @@
+"""People found by the packaged network: rendered people in rooms, without an empty scene."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from depthmocap.classify.classifier import packaged_weights
+from depthmocap.errors import InputError
+from depthmocap.frames import FrameSet, View
+from depthmocap.geometry import DepthCamera, look_at
+from depthmocap.segment.depth_grid import DepthGrid
+from depthmocap.segment.load_segmenter import load_segmenter
+from depthmocap.segment.network_segmenter import NetworkSegmenter
+from depthmocap.segment.people_detector import PeopleDetector
+from depthmocap.segment.people_segmenter import PeopleSegmenter, PersonMasks
+
+RATE = 10
+
+
+def camera(name: str, azimuth: float, distance: float = 2.6) -> DepthCamera:
+    eye = np.array([distance * np.sin(azimuth), -distance * np.cos(azimuth), 1.6])
+    return DepthCamera(name, 256, 212, 182.0, 182.0, 127.5, 105.5, look_at(eye, np.array([0.0, 0.0, 0.8])))
+
+
+@pytest.fixture(scope="module")
+def dressed():
+    pytest.importorskip("torch")
+    from depthmocap.synth.people.bodies import random_dressed_body
+
+    return random_dressed_body(np.random.default_rng(4), "easy")
+
+
+def lying(posture: np.ndarray) -> np.ndarray:
+    out = posture.copy()
+    out[0] = [-np.pi / 2, 0.0, 0.0]
+    return out
+
+
+def shown(dressed, cameras, posture, index, at=(0.0, 0.0), others=()):
+    """A frame set of the person in an otherwise empty room, and the true masks."""
+    from depthmocap.synth.render import render_person
+    from depthmocap.synth.scenes.room import Box, Room, render_room, table
+
+    room = Room(Box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.8)), table((1.6, -0.6), (2.4, 0.6), 0.74))
+    rng, views, masks = np.random.default_rng(index), [], []
+    people = [(posture, at), *others]
+    for each in cameras:
+        depth = render_room(room, each)
+        own = []
+        for where, (x, y) in people:
+            person = dressed.pose(where)
+            person = person.moved(np.eye(3), np.array([x, y, -person.lowest_m]))
+            rendering = render_person(person, each, depth)
+            own = [mask & ~rendering.person for mask in own] + [rendering.person & (rendering.depth_m < depth)]
+            depth = rendering.depth_m
+        noisy = np.where(depth > 0, depth + rng.normal(0, 0.004, depth.shape), 0).astype(np.float32)
+        views.append(View(each, noisy))
+        masks.append(own)
+    return FrameSet(index * 10**9 // RATE, tuple(views)), [tuple(own[k] for own in masks) for k in range(len(people))]
+
+
+def overlap(found, true) -> float:
+    both = sum((a & b).sum() for a, b in zip(found, true, strict=True))
+    return both / sum((a | b).sum() for a, b in zip(found, true, strict=True))
+
+
+@pytest.mark.parametrize("posture", ["standing", "lying"])
+@pytest.mark.parametrize("count", [1, 3])
+def test_somebody_who_never_moves_is_found_at_once_without_an_empty_scene(dressed, posture, count):
+    from depthmocap.synth.body.mesh import REST_POSTURE
+
+    cameras = [camera(f"cam{i}", 2.1 * i + 0.4) for i in range(count)]
+    segment = NetworkSegmenter({}, people=2, background=False)
+    for i in range(5):
+        frames, masks = shown(dressed, cameras, REST_POSTURE if posture == "standing" else lying(REST_POSTURE), i)
+        people = list(segment(frames))
+        if i >= 3:
+            assert people[0].number == 1
+            assert max(overlap(person.masks, masks[0]) for person in people) > 0.65
+
+
+def test_two_close_together_from_the_start_are_two(dressed):
+    from depthmocap.synth.body.mesh import REST_POSTURE
+
+    cameras = [camera(f"cam{i}", 2.1 * i + 0.4) for i in range(3)]
+    segment, masks = NetworkSegmenter({}, people=3), []
+    people: list[PersonMasks] = []
+    for i in range(6):
+        frames, masks = shown(dressed, cameras, REST_POSTURE, i, (-0.5, 0.1), [(REST_POSTURE, (0.5, -0.1))])
+        people = list(segment(frames))
+    assert sorted(person.number for person in people) == [1, 2]
+    for true in masks:
+        assert max(overlap(person.masks, true) for person in people) > 0.75
+
+
+def test_who_keeps_still_is_never_learnt_as_background(dressed):
+    from depthmocap.synth.body.mesh import REST_POSTURE
+
+    cameras = [camera("cam0", 0.4), camera("cam1", 2.4)]
+    segment = NetworkSegmenter({}, people=1)
+    frames, masks = shown(dressed, cameras, lying(REST_POSTURE), 0)
+    people: list[PersonMasks] = []
+    for i in range(0, 60 * RATE, 4):  # for a minute
+        people = list(segment(dataclasses.replace(frames, timestamp_ns=i * 10**9 // RATE)))
+    assert [person.number for person in people] == [1]
+    (person,) = people
+    assert overlap(person.masks, masks[0]) > 0.75
+
+
+def test_a_camera_on_its_side_finds_as_much(dressed):
+    from depthmocap.synth.body.mesh import REST_POSTURE
+
+    upright = camera("cam0", 0.4)
+    frames, masks = shown(dressed, [upright], REST_POSTURE, 0)
+    turned = frames.views[0].turned(1)
+    segment = NetworkSegmenter({}, background=False)
+    people: list[PersonMasks] = []
+    for i in range(4):
+        people = list(segment(FrameSet(i * 10**8, (turned,))))
+    (person,) = people
+    assert overlap([np.rot90(person.masks[0], -1)], masks[0]) > 0.75
+
+
+def test_an_unplaced_camera_needs_no_floor_and_no_up(dressed):
+    """One camera alone, its pose unknown."""
+    from depthmocap.synth.body.mesh import REST_POSTURE
+
+    frames, masks = shown(dressed, [camera("cam0", 0.4, 1.4)], REST_POSTURE, 0)
+    view = frames.views[0]
+    unplaced = View(dataclasses.replace(view.camera, world_from_camera=np.eye(4)), view.depth_m)
+    segment = NetworkSegmenter({})
+    people: list[PersonMasks] = []
+    for i in range(5):
+        people = list(segment(FrameSet(i * 10**8, (unplaced,))))
+    (person,) = people
+    assert overlap(person.masks, masks[0]) > 0.75
+
+
+def test_nothing_is_found_where_nobody_is_and_in_odd_pictures():
+    cameras = [camera("cam0", 0.0)]
+    pictures = [
+        np.zeros((212, 256), np.float32), np.full((212, 256), 0.3, np.float32), np.full((212, 256), 60.0, np.float32),
+        np.random.default_rng(0).uniform(0.5, 6, (212, 256)).astype(np.float32),
+    ]  # fmt: skip
+    for picture in pictures:
+        segment = NetworkSegmenter({}, people=4)
+        for i in range(6):
+            assert segment(FrameSet(i * 10**8, (View(cameras[0], picture),))) == ()
+    assert NetworkSegmenter({})(FrameSet(0, ())) == ()
+
+
+def test_views_with_masks_keep_them():
+    mask = np.zeros((212, 256), np.bool_)
+    mask[50:100, 50:100] = True
+    view = View(camera("cam0", 0.0), np.ones((212, 256), np.float32), mask)
+    (person,) = NetworkSegmenter({})(FrameSet(0, (view,)))
+    assert (person.masks[0] == mask).all()
+
+
+def test_a_network_of_another_kind_is_refused(tmp_path):
+    with pytest.raises(InputError, match="not a network that finds people"):
+        PeopleDetector(packaged_weights())
+    with pytest.raises(InputError, match="train people"):
+        PeopleDetector(tmp_path / "none.onnx")
+
+
+def test_samples_at_pixels_are_their_samples():
+    grid = DepthGrid(camera("cam0", 0.0))
+    pixels = np.array([[0.0, 0.0], [255.0, 211.0], [-1.0, 5.0], [256.0, 5.0], [100.4, 50.2]])
+    rows, columns = grid.samples_at(pixels)
+    assert (rows[2:4] == -1).all() and (columns[2:4] == -1).all()
+    for (u, v), row, column in zip(pixels[[0, 1, 4]], rows[[0, 1, 4]], columns[[0, 1, 4]], strict=True):
+        assert grid.row_starts[row] <= v < grid.row_starts[row + 1]
+        assert grid.column_starts[column] <= u < grid.column_starts[column + 1]
+
+
+def test_the_ways_of_finding_people(tmp_path):
+    from depthmocap.recordings.open_recording import open_recording, packaged_recording
+
+    source = open_recording(packaged_recording())
+    assert isinstance(load_segmenter(source, "network"), NetworkSegmenter)
+    assert isinstance(load_segmenter(source, "auto"), NetworkSegmenter)
+    assert isinstance(load_segmenter(source, "background"), PeopleSegmenter)
+    assert isinstance(load_segmenter(source, "none"), PeopleSegmenter)
+    with pytest.raises(InputError, match="--people"):
+        load_segmenter(source, "auto", 0)

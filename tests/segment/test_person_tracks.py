@@ -1,0 +1,122 @@
+"""Tracks of people from votes alone: clouds of points that vote for centres, in virtual time."""
+
+import numpy as np
+import pytest
+
+from depthmocap.segment.person_tracks import PersonTracker, Votes, measure_statures
+
+RATE = 15
+
+
+def person(rng, x, y, lying=False, spread=0.1, certainty=0.95, area=0.5, stature=1.7):
+    """Points of a body about a place on the floor, and their votes for its centre."""
+    count = 300
+    heights = rng.uniform(0, stature, count)
+    heights[:4], heights[4:8] = 0, stature
+    across = rng.normal(0, 0.1, (count, 2))
+    points = np.concatenate([across, heights[:, None]], 1)
+    if lying:
+        points = np.stack([heights - 0.85, across[:, 0], 0.1 + 0.05 * across[:, 1]], 1)
+    centre = np.array([x, y, 0.15 if lying else 0.57 * stature])
+    points += [x, y, 0]
+    votes = centre + rng.normal(0, spread, (count, 3))
+    return Votes(
+        votes.astype(np.float32), points.astype(np.float32), np.full(count, area / count, np.float32),
+        np.full(count, certainty, np.float32),
+    )  # fmt: skip
+
+
+def joined(*votes):
+    parts = ([getattr(each, name) for each in votes] for name in ("places", "points", "areas_m2", "certainties"))
+    return Votes(*(np.concatenate(part) if part else np.zeros(0, np.float32) for part in parts))
+
+
+NOBODY = Votes(
+    np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.float32)
+)
+
+
+def numbers(tracker):
+    return sorted(track.number for track in tracker.active if track.number)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(3)
+
+
+def test_who_lies_or_stands_still_for_minutes_keeps_one_number(rng):
+    tracker = PersonTracker()
+    for i in range(RATE * 180):
+        tracker.update(joined(person(rng, 0.0, 0.0, lying=True), person(rng, 1.5, 0.0)), i / RATE)
+        if i >= 4:
+            assert numbers(tracker) == [1, 2]
+
+
+@pytest.mark.parametrize("gap", [1.0, 0.6])
+def test_two_close_to_each_other_from_the_start_are_two_within_a_third_of_a_second(rng, gap):
+    tracker = PersonTracker()
+    for i in range(30):
+        votes = joined(person(rng, -gap / 2, 0.0), person(rng, gap / 2, 0.0))
+        labels = tracker.update(votes, i / RATE)
+        if i / RATE > 0.3:
+            assert numbers(tracker) == [1, 2]
+            first, second = labels[:300], labels[300:]
+            majority = np.bincount(first).argmax(), np.bincount(second).argmax()
+            assert majority[0] != majority[1]
+            assert (first == majority[0]).mean() > 0.95
+
+
+def test_two_who_cross_keep_their_numbers(rng):
+    tracker, where, first = PersonTracker(), {}, 0
+    for i in range(45):
+        x = -1.5 + i / 15
+        tracker.update(joined(person(rng, x, -0.2), person(rng, -x, 0.25)), i / RATE)
+        where = {track.number: track.centre_m for track in tracker.active}
+        if i == 10:
+            first = min(where, key=lambda number: where[number][0])
+    assert sorted(where) == [1, 2]
+    assert where[first][0] > 1.0
+
+
+def test_what_the_network_is_not_certain_of_gets_no_number(rng):
+    tracker = PersonTracker()
+    for i in range(60):
+        tracker.update(person(rng, 0.0, 0.0, certainty=0.55), i / RATE)
+    assert numbers(tracker) == []
+
+
+def test_who_is_hidden_for_seconds_is_known_by_the_place(rng):
+    tracker = PersonTracker()
+    for i in range(RATE * 6):
+        hidden = 2.0 < i / RATE < 4.5
+        votes = NOBODY if hidden else person(rng, 0.2 * i / RATE, 0.0)
+        tracker.update(votes, i / RATE)
+    assert numbers(tracker) == [1]
+
+
+def test_who_returns_is_known_by_stature_and_others_are_not(rng):
+    tracker, seen, now, up = PersonTracker(), [], 0.0, np.array([0.0, 0.0, 1.0])
+    for stature in (1.8, None, 1.6, None, 1.8):
+        for _ in range(RATE * 5):
+            now += 1 / RATE
+            votes = NOBODY if stature is None else person(rng, 0.0, 0.0, stature=stature, area=0.8)
+            labels = tracker.update(votes, now)
+            measure_statures(tracker.active, votes, labels, up, now)
+        if stature:
+            seen += numbers(tracker)
+    assert seen == [1, 2, 1]
+
+
+def test_memory_is_bounded_when_people_come_and_go_for_long(rng):
+    tracker = PersonTracker()
+    now = 0.0
+    for visit in range(60):
+        for _ in range(8):
+            now += 1 / RATE
+            tracker.update(person(rng, 3.0 * (visit % 2), 0.0), now)
+        for _ in range(2):
+            now += 2.5
+            tracker.update(NOBODY, now)
+    assert len(tracker.active) == 0
+    assert len(tracker._departed) <= 13

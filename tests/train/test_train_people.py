@@ -1,0 +1,99 @@
+"""Training of the network that finds people, at a small scale."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("onnxscript")
+from safetensors.torch import load_file  # noqa: E402
+
+from depthmocap.errors import InputError  # noqa: E402
+from depthmocap.geometry import DepthCamera  # noqa: E402
+from depthmocap.segment.people_detector import PeopleDetector, grid_of  # noqa: E402
+from depthmocap.synth.body.mesh import BodyModel  # noqa: E402
+from depthmocap.train.people_network import PeopleNet  # noqa: E402
+from depthmocap.train.people_samples import IGNORED, PICTURE, PeopleScenes  # noqa: E402
+from depthmocap.train.train_people import PeopleTraining, mirrored, people_loss, train_people  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def examples(body_model: BodyModel):
+    scenes = PeopleScenes(None, "train", 3)
+    return [example for i in range(3) for example in scenes(i)]
+
+
+def test_examples_tell_people_and_their_centres(examples) -> None:
+    assert len(examples) >= 30
+    assert any((example.people == 1).any() for example in examples)
+    for example in examples:
+        assert example.inputs.shape[1:] == PICTURE
+        assert np.isfinite(example.inputs).all()
+        # Samples without depth are not taught.
+        empty = example.inputs[0] == 0
+        assert (example.people.reshape(PICTURE[0], 2, PICTURE[1], 2).transpose(0, 2, 1, 3)[empty] == IGNORED).all()
+        known = np.isfinite(example.offsets[0])
+        assert np.abs(example.offsets[:, known]).max(initial=0) <= 2.5
+        # Who has a centre is a person.
+        cells = (example.people == 1).reshape(PICTURE[0], 2, PICTURE[1], 2).any((1, 3))
+        assert cells[known].all()
+
+
+def test_the_mirror_image_is_that_of_the_mirrored_picture(examples) -> None:
+    example = max(examples, key=lambda example: int((example.people == 1).sum()))
+    other = mirrored(example)
+    assert (other.people == example.people[:, ::-1]).all()
+    assert np.nanmax(np.abs(other.offsets[0] + example.offsets[0][:, ::-1])) == 0
+    assert (other.inputs[2] == example.inputs[3][:, ::-1]).all()
+    assert (other.inputs[6] == -example.inputs[6][:, ::-1]).all()
+    twice = mirrored(other)
+    assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(twice, example, strict=True))
+
+
+def test_the_loss_is_least_at_the_truth_and_ignores_what_is_unknown() -> None:
+    people = torch.tensor([[[1, 0], [IGNORED, 0]]], dtype=torch.uint8)
+    offsets = torch.tensor([0.1, 0.2, 0.3]).reshape(1, 3, 1, 1)
+    right = torch.cat([torch.tensor([9.0, -9.0, 5.0, -9.0]), torch.tensor([0.1, 0.2, 0.3])]).reshape(1, 7, 1, 1)
+    labels, centres = people_loss(right, people, offsets)
+    assert labels.item() < 1e-3
+    assert centres.item() == pytest.approx(0.01, abs=1e-3)
+    wrong = right.clone()
+    wrong[0, 2] = -50  # ignored
+    assert people_loss(wrong, people, offsets)[0].item() == pytest.approx(labels.item())
+    wrong[0, 0] = -9
+    assert people_loss(wrong, people, offsets)[0].item() > 2
+    nobody = torch.full_like(offsets, torch.nan)
+    assert people_loss(right, people, nobody)[1].item() == 0
+
+
+def test_a_run_trains_resumes_and_exports_what_the_detector_reads(body_model: BodyModel, tmp_path: Path) -> None:
+    def settings(images: int) -> PeopleTraining:
+        return PeopleTraining(
+            tmp_path / "run", images=images, batch=8, workers=0, valid_every=16, valid_scenes=1, average=0.5
+        )
+
+    train_people(settings(16))
+    network = train_people(settings(24))
+    rows = (tmp_path / "run" / "history.jsonl").read_text().splitlines()
+    assert '"step": 24' in rows[-1]
+    detected = PeopleDetector(network)(
+        grid_of(DepthCamera("c", 256, 212, 182.0, 182.0, 127.5, 105.5), np.array([0.0, 0.0, 1.0])),
+        np.full((212, 256), 2.0, np.float32),
+    )
+    assert np.isfinite(detected.logits).all()
+    # The exported network is the trained one.
+    state = PeopleNet().state_dict()
+    kept = load_file(tmp_path / "run" / "people.safetensors")
+    assert kept.keys() == state.keys()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [({"batch": 0}, "--batch"), ({"learning_rate": -1.0}, "--learning-rate"), ({"minutes": -1.0}, "--minutes")],
+)
+def test_settings_that_cannot_be(change: dict, message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=message):
+        PeopleTraining(tmp_path, **change)
