@@ -217,7 +217,7 @@ class _Capture:
 def _way_out(source: FrameSource, segment: Segmentation) -> str:
     """What may help where nobody is found and nothing else is wrong."""
     ways = ["see that the cameras stand where the rig says (world_from_camera is no inverse) and that its up is right"]
-    if segment == "background" and isinstance(source, Recording):
+    if segment in ("auto", "background") and isinstance(source, Recording):
         unknown = [name for name in source.rig.names if source.background(name) is None]
         ways += [f"give the empty scene of {camera_list(unknown)} (background.png)"] if unknown else []
 
