@@ -15,7 +15,7 @@ from depthmocap.kernels.people_votes import paint_people
 from depthmocap.segment.background import FAR_M, BackgroundModel
 from depthmocap.segment.depth_grid import DepthGrid
 from depthmocap.segment.people_detector import SURE_LOGIT, DetectedPeople, PeopleDetector, grid_of, person_mask
-from depthmocap.segment.people_segmenter import PersonMasks
+from depthmocap.segment.people_segmenter import PersonMasks, select_people
 from depthmocap.segment.person_tracks import PersonTrack, PersonTracker, Votes, measure_statures
 
 #: Neighbouring pixels whose depths differ by less than this (metres) show one surface.
@@ -144,11 +144,7 @@ class NetworkSegmenter:
                 background.update(depth_m, _occupied(people, depth_m.shape), frames.timestamp_ns)
 
     def _select(self) -> list[PersonTrack]:
-        people = {track.number: track for track in self._tracker.active if track.number}
-        self._followed_numbers = [number for number in self._followed_numbers if number in people]
-        others = sorted(set(people) - set(self._followed_numbers), key=lambda number: -people[number].area_m2)
-        self._followed_numbers += others[: self.people - len(self._followed_numbers)]
-        return [people[number] for number in self._followed_numbers if people[number].area_m2 > 0]
+        return select_people(self._tracker.active, self._followed_numbers, self.people)
 
 
 def probability_in_views(points: Float[ndarray, "n 3"], detected: Sequence[DetectedPeople]) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -183,9 +184,29 @@ class PeopleSegmenter:
         return person[label_image]
 
     def _select(self) -> list[Track]:
-        """The visible ones of the selected people: those already selected, then those with the largest surface."""
-        people = {track.number: track for track in self._tracker.active if track.number}
-        self._followed_numbers = [number for number in self._followed_numbers if number in people]
-        others = sorted(set(people) - set(self._followed_numbers), key=lambda number: -people[number].area_m2)
-        self._followed_numbers += others[: self.people - len(self._followed_numbers)]
-        return [people[number] for number in self._followed_numbers if people[number].area_m2 > 0]
+        return select_people(self._tracker.active, self._followed_numbers, self.people)
+
+
+@runtime_checkable
+class _Numbered(Protocol):
+    """What is needed of a track to choose who is followed."""
+
+    number: int
+    area_m2: float
+
+
+_AnyTrack = TypeVar("_AnyTrack", bound=_Numbered)
+
+
+def select_people(tracks: Sequence[_AnyTrack], followed_numbers: list[int], most: int) -> list[_AnyTrack]:
+    """The visible ones of the selected people: those already selected, then those with the largest surface.
+
+    Args:
+        followed_numbers: numbers of those who are selected; updated in place.
+        most: so many are selected.
+    """
+    people = {track.number: track for track in tracks if track.number}
+    followed_numbers[:] = [number for number in followed_numbers if number in people]
+    others = sorted(set(people) - set(followed_numbers), key=lambda number: -people[number].area_m2)
+    followed_numbers += others[: most - len(followed_numbers)]
+    return [people[number] for number in followed_numbers if people[number].area_m2 > 0]

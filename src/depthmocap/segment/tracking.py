@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray
 from scipy.optimize import linear_sum_assignment
 
+from depthmocap.segment.departed import AWAY_S, Departed, match_stature
 from depthmocap.segment.occupancy_map import CELL_M, Blobs
 from depthmocap.segment.track import TALL_M, TRAVELLED_M, Track
 
@@ -41,12 +42,6 @@ PART_M2 = 0.12
 PART_M = 0.8
 #: A track unseen for this time ends (seconds).
 GONE_S = 1.0
-#: A person who has left keeps their number for this time (seconds).
-AWAY_S = 60.0
-#: A new track gets the number of a person who has left if their heights differ by less than this (metres)
-SAME_HEIGHT_M = 0.03
-#: and every other person who has left differs by this much more (metres).
-CLEARLY_M = 0.03
 #: Time between two height measurements (seconds).
 MEASURE_S = 0.09
 #: Height above the head that must be visible for a height measurement (metres): nothing then cuts the head off.
@@ -85,7 +80,7 @@ class PeopleTracker:
 
     def __init__(self) -> None:
         self.active: list[Track] = []
-        self._departed: list[Track] = []
+        self._departed: list[Departed] = []
         self._last_number = 0
 
     def predict(self, now_s: float) -> list[Float[ndarray, "2"]]:
@@ -189,7 +184,10 @@ class PeopleTracker:
         for track in [track for track in self.active if now_s - track.last_seen_s > GONE_S]:
             self.active.remove(track)
             if track.last_number:
-                self._departed.append(track)
+                position_m = np.append(track.position_m, 0.0)
+                self._departed.append(
+                    Departed(track.last_number, track.stature_m, track.top_m, position_m, track.last_seen_s)
+                )
         self._departed = [track for track in self._departed if now_s - track.last_seen_s < AWAY_S]
         for blob in np.flatnonzero(labels == 0).tolist():
             if _is_body(blobs, blob):
@@ -247,28 +245,14 @@ class PeopleTracker:
             return
         if self._departed and np.isnan(track.stature_m) and age_s < RECOGNISE_S:
             return
-        number = self._match_departed(track.stature_m)
-        if not number:
+        match = match_stature(self._departed, track.stature_m)
+        if match is None:
             self._last_number += 1
             number = self._last_number
+        else:
+            self._departed.remove(match)
+            number = match.number
         track.assign_number(number)
-
-    def _match_departed(self, stature_m: float) -> int:
-        """The number of the departed person of this stature, removed from the departed; 0 when none clearly matches."""
-        # A person without measured stature is at least as tall as their track, and matches nobody.
-        differences_m = [
-            max(away.top_m - stature_m, 0.0) if np.isnan(away.stature_m) else abs(away.stature_m - stature_m)
-            for away in self._departed
-        ]
-        order = np.argsort(differences_m)
-        if not len(order) or np.isnan(stature_m):
-            return 0
-        best = self._departed[order[0]]
-        clearly = len(order) == 1 or differences_m[order[1]] - differences_m[order[0]] >= CLEARLY_M
-        if np.isnan(best.stature_m) or differences_m[order[0]] > SAME_HEIGHT_M or not clearly:
-            return 0
-        self._departed.remove(best)
-        return best.last_number
 
 
 def _is_body(blobs: Blobs, blob: int) -> bool:

@@ -30,9 +30,6 @@ def export_onnx(network: Network, path: Path, metadata: dict[str, str]) -> Path:
     Batch norms are folded into the convolutions. Large weights are stored as fp16 behind a cast, which the runtime
     folds away when it loads the file: half the size, fp32 arithmetic.
     """
-    import onnx
-    from onnx import helper
-
     network = copy.deepcopy(network).cpu().eval()
     example = torch.zeros(2, *network.input_shape)
     outputs = ["probabilities", "joints"] if network.predicts_joints else ["logits"]
@@ -46,6 +43,14 @@ def export_onnx(network: Network, path: Path, metadata: dict[str, str]) -> Path:
             dynamic_shapes={"x": sizes},
         )  # fmt: skip
     assert program is not None
+    return write_program(program, path, metadata)
+
+
+def write_program(program: torch.onnx.ONNXProgram, path: Path, metadata: dict[str, str]) -> Path:
+    """Write an exported network, its large weights in half precision; returns the path."""
+    import onnx
+    from onnx import helper
+
     program.optimize()
     model = program.model_proto
     store_half(model)

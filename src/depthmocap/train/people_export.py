@@ -7,18 +7,14 @@ from pathlib import Path
 
 import torch
 
-from depthmocap.core.output import atomic_write
 from depthmocap.segment.depth_grid import CHANNELS, GRID_STEP
-from depthmocap.train.onnx_export import quiet, store_half
+from depthmocap.train.onnx_export import quiet, write_program
 from depthmocap.train.people_network import PeopleNet
 
 
 def export_people_onnx(network: PeopleNet, path: Path, metadata: dict[str, str]) -> Path:
     """Write the network as ONNX: input ``cells`` (n, 8, rows, columns), both multiples of 8, output ``people``
     (n, 7, rows, columns). Batch norms are folded into the convolutions, weights stored as fp16."""
-    import onnx
-    from onnx import helper
-
     network = copy.deepcopy(network).cpu().eval()
     sizes = {0: torch.export.Dim("n", min=1)} | {
         i: GRID_STEP * torch.export.Dim(f"steps{i}", min=1, max=256) for i in (2, 3)
@@ -29,11 +25,4 @@ def export_people_onnx(network: PeopleNet, path: Path, metadata: dict[str, str])
             verbose=False, dynamic_shapes={"x": sizes},
         )  # fmt: skip
     assert program is not None
-    program.optimize()
-    model = program.model_proto
-    store_half(model)
-    helper.set_model_props(model, {"network": "people", **metadata})
-    onnx.checker.check_model(model)
-    with atomic_write(path) as unfinished:
-        onnx.save(model, unfinished)
-    return path
+    return write_program(program, path, {"network": "people", **metadata})

@@ -63,9 +63,7 @@ class PeopleScenes:
     """Scenes by index, of a seed, each with its pictures. Cheap to send to another process."""
 
     def __init__(self, postures: Path | None, split: Split, seed: int) -> None:
-        variation = (
-            TRAINING_VARIATION if split == "train" else Variation(mirror=0.5, sit=0.2, beyond=0.1, as_recorded=0.7)
-        )
+        variation = TRAINING_VARIATION if split == "train" else Variation(mirror=0.5, beyond=0.1, as_recorded=0.7)
         variation = dataclasses.replace(variation, sit=0.3)
         self._postures, self._split, self._seed = posture_source(postures, split, False, variation), split, seed
         self._bodies: list[DressedBody] = []
