@@ -35,9 +35,9 @@ _RANDOM_ERRORS = 0.5
 #: Dressed bodies kept to appear again in other postures: to dress somebody takes longer than to pose them.
 _KEPT, _AGAIN = 12, 0.7
 #: Share of bodies that are small children's.
-_INFANTS = 0.14
+_INFANTS = 0.2
 #: Children smaller than this (metres) lie on the floor more often than in recordings, with this probability.
-_INFANT_M, _INFANTS_LIE = 0.95, 0.6
+_INFANT_M, _INFANTS_LIE = 0.95, 0.7
 #: Target of samples without depth.
 IGNORED = 255
 #: A person far from everything seen of them is not taught (metres).
@@ -49,7 +49,7 @@ class PeopleExample(NamedTuple):
 
     Attributes:
         inputs: of the network.
-        people: at every sample 1 for a person, 0 for none, ``IGNORED`` where there is no depth.
+        people: at every sample the number of its person from 1, 0 for none, ``IGNORED`` where there is no depth.
         offsets: metres from the surface of each cell to the centre of its person, in the axes of the camera; NaN where
             the cell shows nobody.
     """
@@ -136,7 +136,7 @@ def _example(
     grid: DepthGrid,
     camera: DepthCamera,
 ) -> PeopleExample:
-    people = np.where(samples_m > 0, person > 0, IGNORED).astype(np.uint8)
+    people = np.where(samples_m > 0, person, IGNORED).astype(np.uint8)
     rows, columns = grid.shape
     shown = np.where(samples_m > 0, person, 0)
     quads = shown.reshape(rows, 2, columns, 2).transpose(0, 2, 1, 3).reshape(rows, columns, 4)

@@ -30,7 +30,10 @@ from depthmocap.train.people_samples import IGNORED, PeopleExample, PeopleScenes
 from depthmocap.train.train_classifier import begin_worker, check_device, save_at_interruption, write_history
 
 #: Weight of the error of the centres (metres) against the cross-entropy.
-_OFFSET_WEIGHT = 0.5
+_OFFSET_WEIGHT = 1.0
+#: A person of fewer samples than this weighs more, by the square root of how many fewer, at most so many times:
+#: otherwise nobody learns what a small child or a far person is.
+_FEW_SAMPLES, _MOST_WEIGHT = 400, 3.0
 #: The learning rate rises over this many pictures.
 _WARM_UP = 3200
 #: Gradients are clipped to this norm.
@@ -101,7 +104,8 @@ class _Scenes(Dataset[list[PeopleExample]]):
 
 
 def people_loss(outputs: Tensor, people: Tensor, offsets: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean cross-entropy of the samples with depth, and mean distance (metres) of the known centres.
+    """Mean cross-entropy of the samples with depth, and mean distance (metres) of the known centres; small people
+    weigh more.
 
     Args:
         outputs: (n, 7, rows, columns) of :class:`PeopleNet`.
@@ -110,12 +114,24 @@ def people_loss(outputs: Tensor, people: Tensor, offsets: Tensor) -> tuple[Tenso
     """
     logits = nn.functional.pixel_shuffle(outputs[:, :4], 2)[:, 0]
     known = people != IGNORED
-    labels = nn.functional.binary_cross_entropy_with_logits(logits[known], (people[known] == 1).float())
+    weights = _weights(people)
+    labels = nn.functional.binary_cross_entropy_with_logits(
+        logits[known], (people[known] > 0).float(), weights[known]
+    )  # fmt: skip
     has_centre = offsets[:, 0].isfinite()
     if not has_centre.any():
         return labels, outputs[:, 4:].sum() * 0
     error = (outputs[:, 4:] - offsets).permute(0, 2, 3, 1)[has_centre]
-    return labels, (error.square().sum(-1) + 1e-4).sqrt().mean()
+    of_cells = nn.functional.max_pool2d(weights[:, None], 2)[:, 0][has_centre]
+    return labels, ((error.square().sum(-1) + 1e-4).sqrt() * of_cells).sum() / of_cells.sum()
+
+
+def _weights(people: Tensor) -> Tensor:
+    """Weight of each sample, by the number of samples of its person."""
+    numbers = people.long() + 256 * torch.arange(len(people), device=people.device)[:, None, None]
+    counts = torch.bincount(numbers.flatten(), minlength=256 * len(people))
+    weights = (_FEW_SAMPLES / counts.clamp(min=1)).sqrt().clamp(1.0, _MOST_WEIGHT)
+    return torch.where((people > 0) & (people != IGNORED), weights[numbers], 1.0)
 
 
 class _Run:
@@ -191,12 +207,13 @@ class _Run:
                 x, people, offsets = _tensors(examples[first : first + 32], self.settings.device)
                 outputs = network(x)
                 found = nn.functional.pixel_shuffle(outputs[:, :4], 2)[:, 0] > 0
-                hits += int((found & (people == 1)).sum())
-                missed += int((~found & (people == 1)).sum())
+                shown = (people > 0) & (people != IGNORED)
+                hits += int((found & shown).sum())
+                missed += int((~found & shown).sum())
                 false += int((found & (people == 0)).sum())
                 has_centre = offsets[:, 0].isfinite()
                 errors.append((outputs[:, 4:] - offsets).permute(0, 2, 3, 1)[has_centre].norm(dim=-1))
-                nobody = ~(people == 1).flatten(1).any(1)
+                nobody = ~shown.flatten(1).any(1)
                 empties.append((found & (people == 0)).flatten(1).float().mean(1)[nobody])
         row: dict[str, float | int] = {
             "step": self.images, "minutes": self.spent_s / 60, "loss": self.recent_loss[0],

@@ -138,7 +138,7 @@ class PopulatedScene:
                 values = np.full(len(blanket.faces), blanket.material, np.uint8)
                 draw_mesh(blanket.vertices, blanket.faces, values, camera, depth, code, two_sided=True)
             # Cloth right over somebody shows them, as clothes do.
-            near = (depth < bare) & (bare - depth < _COVER_M)
+            near = (depth < bare) & (bare < depth + _COVER_M)
             code[near] += bare_code[near] // _CODE * _CODE
         depth[np.isinf(depth)] = 0
         return PeoplePicture(depth, code % _CODE, code // _CODE)
