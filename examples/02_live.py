@@ -14,7 +14,8 @@ def main(sources: list[str], rig: Path | None = None) -> None:
     """Print a line whenever the higher hand changes; Ctrl-C ends it."""
     right, left = (depthmocap.JOINTS.index(name) for name in ("RHand", "LHand"))
     shown = ""
-    for pose in depthmocap.live(*sources, rig=rig):  # opens the cameras, and closes them at the end
+    for result in depthmocap.live(*sources, rig=rig):  # opens the cameras, and closes them at the end
+        pose = result.pose
         if min(pose.confidence[right], pose.confidence[left]) < 0.5:
             continue  # a hand that nobody sees is a guess
         higher = "right" if pose.joints[right, 2] > pose.joints[left, 2] else "left"

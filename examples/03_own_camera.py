@@ -85,9 +85,10 @@ class MyCamera(depthmocap.DepthSource):
 def main(recording: Path) -> None:
     """Motion capture of all cameras of a folder, each read by `MyCamera`."""
     rig = depthmocap.load_rig(recording / "rig.json")
-    poses = depthmocap.live(*(MyCamera(name, recording / name) for name in rig.names), rig=rig)
+    results = depthmocap.live(*(MyCamera(name, recording / name) for name in rig.names), rig=rig)
     pelvis = depthmocap.JOINTS.index("Hip")
-    for pose in poses:
+    for result in results:
+        pose = result.pose
         if pose.confidence.max() == 0:
             continue  # nobody in view yet
         x, y, z = pose.joints[pelvis]

@@ -20,7 +20,7 @@ GROUPS = (
     "cameras recordings",
     "segment classify pose smooth",
     "datasets exporting report",
-    "offline calibration realtime",
+    "offline calibration streaming realtime",
     "synth",
     "train",
     "evaluate",

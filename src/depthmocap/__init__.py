@@ -40,11 +40,12 @@ if TYPE_CHECKING:
     from depthmocap.offline.run import RunSettings, run
     from depthmocap.pose.cloud import LabelledCloud
     from depthmocap.pose.estimators import JointEstimator
-    from depthmocap.realtime.live_capture import LiveCapture, LivePose, live, live_people
+    from depthmocap.realtime.live_capture import LiveCapture, LivePose, live
     from depthmocap.recordings.open_recording import open_recording
     from depthmocap.recordings.recording import Recording
     from depthmocap.recordings.recording_writer import RecordingWriter
     from depthmocap.smooth.pose_filter import PoseFilter
+    from depthmocap.streaming.stream_protocol import Marker, Sample, Stream, StreamSetup
 
 #: What is loaded on first use, by module.
 _LAZY = {
@@ -57,13 +58,14 @@ _LAZY = {
     "depthmocap.offline.pipeline": ("PersonResult", "Pipeline", "Result"),
     "depthmocap.offline.pipeline_settings": ("PipelineSettings", "load_pipeline", "open_source"),
     "depthmocap.offline.run": ("RunSettings", "run"),
-    "depthmocap.realtime.live_capture": ("LiveCapture", "LivePose", "live", "live_people"),
+    "depthmocap.realtime.live_capture": ("LiveCapture", "LivePose", "live"),
     "depthmocap.pose.cloud": ("LabelledCloud",),
     "depthmocap.pose.estimators": ("JointEstimator",),
     "depthmocap.recordings.recording": ("Recording",),
     "depthmocap.recordings.recording_writer": ("RecordingWriter",),
     "depthmocap.recordings.open_recording": ("open_recording",),
     "depthmocap.smooth.pose_filter": ("PoseFilter",),
+    "depthmocap.streaming.stream_protocol": ("Marker", "Sample", "Stream", "StreamSetup"),
 }
 _MODULE = {name: module for module, names in _LAZY.items() for name in names}
 
@@ -83,6 +85,7 @@ __all__ = [
     "LabelledCloud",
     "LiveCapture",
     "LivePose",
+    "Marker",
     "PersonResult",
     "Pipeline",
     "PipelineSettings",
@@ -94,11 +97,13 @@ __all__ = [
     "Rig",
     "RunResult",
     "RunSettings",
+    "Sample",
+    "Stream",
+    "StreamSetup",
     "View",
     "__version__",
     "calibrate",
     "live",
-    "live_people",
     "load_pipeline",
     "load_rig",
     "open_camera",

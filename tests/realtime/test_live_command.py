@@ -245,9 +245,10 @@ def test_nobody_in_view_is_told(recording, tmp_path, monkeypatch):
 
 
 def test_the_python_interface(recording, virtual):
-    poses = list(live_module.live(recording, segment="none"))
-    assert 5 < len(poses) <= SETS
-    assert poses[-1].joints.shape == (18, 3)
+    results = list(live_module.live(recording, segment="none"))
+    assert 5 < len(results) <= SETS
+    assert results[-1].pose.joints.shape == (18, 3)
+    assert [person.number for person in results[-1].people] == [1]
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import dataclasses
 import functools
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -29,6 +29,8 @@ from depthmocap.realtime.sync import SyncedSet, SyncSettings
 from depthmocap.realtime.synced_reader import SyncedReader
 from depthmocap.recordings.open_recording import open_recording, packaged_recording
 from depthmocap.recordings.recording import Recording
+from depthmocap.streaming.outlets import Outlets
+from depthmocap.streaming.stream_protocol import Marker, Stream, StreamSetup
 
 #: If making the pipeline takes longer (seconds), a message says so.
 SLOW_S = 2.0
@@ -78,6 +80,7 @@ class LiveCapture:
         measure_rate: bool = True,
         make_pipeline: PipelineMaker = load_pipeline,
         tell: Callable[[str], None] = lambda line: None,
+        streams: Iterable[Stream | str] = (),
     ) -> None:
         """
         Args:
@@ -87,13 +90,21 @@ class LiveCapture:
             sync: how frames form sets (:class:`SyncedReader`).
             measure_rate: whether the rate of sets is measured from the cameras.
             make_pipeline: makes the default pipeline.
-            tell: is called with a line about steps that take long.
+            tell: is called with a line about steps that take long, and what streams tell.
+            streams: get every result as soon as it is known: streams of your own, or addresses such as
+                "osc://127.0.0.1:9000". A slow or failing one never holds up the capture.
+
+        Raises:
+            InputError: when the address of a stream is wrong, or what it needs is not installed.
         """
         self._tell, self._seconds = tell, 0.0
         self._timer: threading.Timer | None = None
         self._sources, self._pipeline, self._make_pipeline = list(sources), pipeline, make_pipeline
         self.reader = SyncedReader(sources, rig, sync, measure_rate)
         self.statistics, self._extrinsics_check = RunStatistics(), ExtrinsicsCheck()
+        self._outlets = Outlets(streams, self.reader.problems.add)
+        #: Adds to a time of ``time.monotonic_ns`` to give nanoseconds since 1970.
+        self._day_ns = time.time_ns() - time.monotonic_ns()
         #: Number of sets without a pose, because they came while the pipeline was prepared.
         self.sets_before_ready = 0
         self.up = rig.up if rig else (sources[0].up if sources else "z")
@@ -109,22 +120,25 @@ class LiveCapture:
         Raises:
             InputError: when no pipeline can be made, no camera can be opened, or their poses are unknown.
         """
+        people = 1 if self._pipeline is None else self._pipeline.segment.people
         if self._pipeline is None:
             slow = "making ready for poses; on a machine that is new to it this takes minutes, because it is compiled"
             with _announce_if_slow(slow, self._tell):
-                compile_pipeline(self._make_pipeline)
+                people = compile_pipeline(self._make_pipeline).segment.people
         self.reader.start(self._tell)
         try:
             check_extrinsics(self.reader.cameras.values())
         except InputError:
             self.reader.stop()
             raise
+        self._outlets.start(StreamSetup(Rig(tuple(self.reader.cameras.values()), self.up), people, self._tell))
         return self
 
     def __exit__(self, *failure: object) -> None:
         if self._timer is not None:
             self._timer.cancel()
         self.reader.stop()
+        self._outlets.close()
 
     def stop(self) -> None:
         """End the iteration, from any thread."""
@@ -140,6 +154,11 @@ class LiveCapture:
         self._timer = threading.Timer(self._seconds, self.stop)
         self._timer.daemon = True
         self._timer.start()
+
+    def mark(self, text: str) -> None:
+        """Send a marker, such as "trial 3", to the streams that take markers, with the present time."""
+        now_ns = time.monotonic_ns()
+        self._outlets.mark(Marker(text, now_ns + self._day_ns, now_ns))
 
     @property
     def problems(self) -> dict[str, int]:
@@ -172,12 +191,22 @@ class LiveCapture:
                 self._pipeline = self._make_warm_pipeline(frame_set(synced, self.reader.cameras))
                 self.sets_before_ready = self.reader.reset_dropped() + 1
                 continue
-            result = self._pipeline(frame_set(synced, self.reader.cameras))
+            frames = frame_set(synced, self.reader.cameras)
+            result = self._pipeline(frames)
+            self._send(result, frames)
             self.reader.problems.update(self._extrinsics_check(result.cloud))
             arrival_ns = max(frame.arrival_ns for frame in synced.frames.values())
             latency_ms = (time.monotonic_ns() - arrival_ns) * 1e-6
             yield _count_pose(self.statistics, LivePose(result.pose, synced, result, latency_ms))
         self.reader.problems.update(self._extrinsics_check.finish())
+
+    def _send(self, result: Result, frames: FrameSet) -> None:
+        """Hand a result to the streams, unless a filter that waits has no pose yet that is final."""
+        assert self._pipeline is not None
+        delay = self._pipeline.smoothing.delay_frames if self._pipeline.smoothing else 0
+        if self.statistics.poses >= delay:
+            exposed_ns = result.pose.timestamp_ns
+            self._outlets.send(result, frames, exposed_ns + self._day_ns, exposed_ns)
 
     def _make_warm_pipeline(self, frames: FrameSet) -> Pipeline:
         """Make the default pipeline and warm it up with the first set."""
@@ -205,11 +234,14 @@ def _announce_if_slow(line: str, tell: Callable[[str], None]) -> Iterator[None]:
         timer.cancel()
 
 
-def compile_pipeline(make_pipeline: PipelineMaker) -> None:
+def compile_pipeline(make_pipeline: PipelineMaker) -> Pipeline:
     """Compile the inner loops by running a pipeline on a set of the packaged recording, which has a person and a
-    background. Otherwise the first person in front of the cameras would wait for the compilation."""
+    background; gives that pipeline. Otherwise the first person in front of the cameras would wait for the
+    compilation."""
     recording = open_recording(packaged_recording())
-    make_pipeline(recording)(recording[0])
+    pipeline = make_pipeline(recording)
+    pipeline(recording[0])
+    return pipeline
 
 
 class Replay:
@@ -276,54 +308,30 @@ def _count_pose(statistics: RunStatistics, live: LivePose) -> LivePose:
 def live(
     *sources: str | Path | DepthSource,
     rig: Rig | Path | None = None,
+    streams: Iterable[Stream | str] = (),
     settings: PipelineSettings | None = None,
     **changes: Any,
-) -> Iterator[Pose]:
-    """Poses of one person while cameras deliver; recordings play at their own speed.
+) -> Iterator[Result]:
+    """Results while cameras deliver, set by set; recordings play at their own speed.
 
     Sets are left out if the machine is too slow; :class:`Replay` leaves out none of a recording.
 
     Args:
         sources: cameras as ``depthmocap record`` names them, recordings, or your own sources.
         rig: the poses of the cameras, or the path of a rig.json; recordings have their own.
+        streams: get every result, too: addresses as ``--stream`` takes them, or streams of your own.
         settings: of the pipeline, by default the usual ones.
-        changes: single settings that differ, as in ``live("recording", smooth="none")``.
+        changes: single settings that differ, as in ``live("recording", people=2)``.
 
     Raises:
-        InputError: when a source is not what it says, or no camera can be opened.
+        InputError: when a source or an address of a stream is not what it says, or no camera can be opened.
     """
-    for live_pose in _live_poses(sources, rig, settings or PipelineSettings(), changes):
-        yield live_pose.pose
-
-
-def live_people(
-    *sources: str | Path | DepthSource,
-    people: int = 2,
-    rig: Rig | Path | None = None,
-    settings: PipelineSettings | None = None,
-    **changes: Any,
-) -> Iterator[dict[int, Pose]]:
-    """Poses of up to ``people`` people by their numbers, which they keep, set by set; otherwise like :func:`live`.
-
-    Raises:
-        InputError: see :func:`live`, or when ``people`` is less than one.
-    """
-    for live_pose in _live_poses(sources, rig, settings or PipelineSettings(), {**changes, "people": people}):
-        yield {person.number: person.pose for person in live_pose.result.people}
-
-
-def _live_poses(
-    sources: Sequence[str | Path | DepthSource],
-    rig: Rig | Path | None,
-    settings: PipelineSettings,
-    changes: dict[str, Any],
-) -> Iterator[LivePose]:
-    """Poses from sources by a pipeline with these settings."""
     playback_clock = PlaybackClock(1.0)
     opened_sources: list[DepthSource] = []
     for source in sources:
         opened_sources += [source] if isinstance(source, DepthSource) else make_sources([str(source)], playback_clock)
     rig = load_rig(rig) if isinstance(rig, Path) else rig
-    make_pipeline = functools.partial(load_pipeline, settings=settings, **changes)
-    with LiveCapture(opened_sources, rig, make_pipeline=make_pipeline) as capture:
-        yield from capture
+    make_pipeline = functools.partial(load_pipeline, settings=settings or PipelineSettings(), **changes)
+    with LiveCapture(opened_sources, rig, make_pipeline=make_pipeline, streams=streams) as capture:
+        for live_pose in capture:
+            yield live_pose.result

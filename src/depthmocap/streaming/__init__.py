@@ -1,0 +1,1 @@
+"""Results of a running capture on their way into other programs."""
