@@ -60,6 +60,23 @@ def _read_animations(folder: Path) -> None:
     read_bvh(folder / "pose.bvh")
 
 
+def _stored(folder: Path) -> None:
+    from depthmocap.exporting.edits import Edit, Edits, Marker, write_edits
+    from depthmocap.exporting.stored_result import read_result
+
+    _poses(folder)
+    digest = read_result(folder).edits.digest
+    exchange = Edit("exchange", 1, first_ns=START + PERIOD, last_ns=START + 2 * PERIOD)
+    edits = (exchange, Edit("split", 1, 2, START + PERIOD), Edit("join", 1, 2), Edit("name", 1, name="a"))
+    write_edits(folder, Edits(digest, edits, (Marker(START, "b"),)))
+
+
+def _read_stored(folder: Path) -> None:
+    from depthmocap.exporting.stored_result import read_result
+
+    read_result(folder)
+
+
 def _results(folder: Path) -> None:
     numbers: dict[str, Any] = {
         "subset": "hard", "split": "test", "seed": 1, "frames": 20, "joints": list(JOINTS), "views": 3,
@@ -126,6 +143,7 @@ class _Everywhere:
 RESULTS: dict[str, Reader] = {
     "rig": Reader(_rig_file, _read_rig),
     "poses": Reader(_poses, _read_poses),
+    "stored": Reader(_stored, _read_stored),
     "animations": Reader(_animations, _read_animations),
     "compare": Reader(_results, _compare),
     "settings": Reader(_settings, _settings),

@@ -54,6 +54,7 @@ class Summary(TypedDict):
     version: str
     machine: str
     sources: list[str]
+    up: str
     person: int | None
     first_timestamp_ns: int | None
     interrupted: bool
@@ -182,6 +183,7 @@ def make_summary(take: Take, numbers: Mapping[str, Any], person: int | None = No
         "version": __version__,
         "machine": f"{platform.machine()}, Python {platform.python_version()}",
         "sources": take.sources,
+        "up": take.up,
         "person": person,
         "first_timestamp_ns": take.origin_ns,
         "interrupted": False,
@@ -249,6 +251,7 @@ def check_summary(path: Path, document: Any) -> Summary:
         raise InputError(f"{path} is no summary of run or live of this version: it has no schema; run it again")
     if schema != SCHEMA:
         raise InputError(f"{path} has the schema {schema!r}, and this version reads {SCHEMA}: run it again")
+    document = {"up": "z", **document}  # which the first summaries do not have
     if absent := [key for key in Summary.__annotations__ if key not in document]:
         raise InputError(f"{path} lacks {', '.join(absent[:4])}: it was changed since it was written; run it again")
     return cast(Summary, document)

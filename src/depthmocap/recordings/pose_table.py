@@ -27,6 +27,13 @@ _CONFIDENCE_COLUMNS = [f"{joint}_confidence" for joint in JOINTS]
 HEADER: tuple[str, ...] = (
     TIME, *(f"{joint}_{field}" for joint in JOINTS for field in ("x", "y", "z", "confidence")), STAMP,
 )  # fmt: skip
+_OWN_HEADER = ",".join(HEADER)
+#: As floats, nanoseconds since 1970 are not exact.
+_OWN_ROW = np.dtype([("numbers", np.float64, len(HEADER) - 1), ("stamp", np.int64)])
+#: What no file of depthmocap's has in its rows, but a reader of numbers may take.
+_NOT_WRITTEN = '"_ \t\r#+'
+#: Up to so many seconds a float is exact to a nanosecond.
+_EXACT_S = 1e6
 #: The columns of truth.csv. It has no time_s, because deleting the first frames would shift such times.
 TRUTH_HEADER: tuple[str, ...] = (STAMP, *_POSITION_COLUMNS)
 #: Largest absolute value of a timestamp (ns).
@@ -82,6 +89,8 @@ def read_table(path: Path) -> PoseTable:
             that go back.
     """
     text = read_text(path)
+    if (table := _own_table(text)) is not None:
+        return table
     try:
         rows = [row for row in csv.reader(io.StringIO(text)) if row]
     except csv.Error as error:
@@ -127,6 +136,29 @@ def read_table(path: Path) -> PoseTable:
     confidence = table[:, 54:] if confidence_columns else observed.astype(np.float64)
     confidence = np.where(np.isnan(confidence), 0.0, confidence)
     return PoseTable(stamps_ns, clocks[0] == STAMP, times_s * 1e-9, joints, confidence)
+
+
+def _own_table(text: str) -> PoseTable | None:
+    """The table of a file as depthmocap writes it, read all at once; None for any other file, and for one with a fault,
+    which is found and told row by row."""
+    header, _, body = text.partition("\n")
+    if header != _OWN_HEADER or not body or any(letter in body for letter in _NOT_WRITTEN):
+        return None
+    try:
+        rows = np.loadtxt(body.splitlines(), _OWN_ROW, delimiter=",", ndmin=1, comments=None)
+    except (ValueError, OverflowError):
+        return None
+    numbers, stamps_ns = rows["numbers"], rows["stamp"].copy()
+    if not (np.abs(numbers[:, 0]) < _EXACT_S).all():
+        return None
+    times_ns = np.rint(numbers[:, 0] * 1e9).astype(np.int64)
+    values = numbers[:, 1:].reshape(-1, len(JOINTS), 4)
+    if np.isinf(values).any() or (np.diff(times_ns) < 0).any() or (np.diff(stamps_ns) < 0).any():
+        return None
+    observed = np.asarray(~np.isnan(values[..., :3]).any(-1))
+    joints = np.where(observed[..., None], values[..., :3], np.nan)
+    confidence = np.where(np.isnan(values[..., 3]), 0.0, values[..., 3])
+    return PoseTable(stamps_ns, True, times_ns * 1e-9, joints, confidence)
 
 
 def _nanoseconds(path: Path, row: int, column: str, cell: str) -> int:
