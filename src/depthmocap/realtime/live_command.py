@@ -57,6 +57,8 @@ class LiveSettings(PipelineSettings):
         wait_ms: how long a set waits for a camera that is late.
         rate_hz: sets a second; by default the fastest camera's rate.
         triggered: the cameras expose together, by a wire.
+        stream: send every result to another program as soon as it is known: osc://HOST:PORT. May be
+            given several times.
     """
 
     sources: tyro.conf.Positional[tuple[str, ...]]
@@ -69,6 +71,7 @@ class LiveSettings(PipelineSettings):
     wait_ms: float = SyncSettings().wait_ms
     rate_hz: float | None = None
     triggered: bool = False
+    stream: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
 
 
 @locks_outputs(folder="out")
@@ -129,13 +132,15 @@ def _make_capture(settings: LiveSettings, console: Console) -> LiveCapture | Rep
         with console.status("reading the background and the weights"):
             recording = open_recording(Path(settings.sources[0]), rig)
             sync = dataclasses.replace(sync, rate_hz=settings.rate_hz or 1e9 / recording.period_ns)
+            if settings.stream:
+                raise InputError("--stream needs --realtime: played as fast as it goes, a recording is not live")
             return Replay(recording, sync, make_pipeline)
 
     def tell(line: str) -> None:
         console.print(f"• {line}")
 
     sources = make_sources(settings.sources, PlaybackClock(1.0), tell)
-    return LiveCapture(sources, rig, None, sync, settings.rate_hz is None, make_pipeline, tell)
+    return LiveCapture(sources, rig, None, sync, settings.rate_hz is None, make_pipeline, tell, settings.stream)
 
 
 def _write_poses(

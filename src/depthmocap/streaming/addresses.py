@@ -2,8 +2,20 @@
 
 from __future__ import annotations
 
+import importlib
+import re
+from typing import cast
+from urllib.parse import SplitResult, urlsplit
+
 from depthmocap.errors import InputError
 from depthmocap.streaming.stream_protocol import Stream
+
+#: Host of an address without one.
+LOCAL_HOST = "127.0.0.1"
+#: For each scheme the module and the class of its stream, and its usual port.
+_STREAMS: dict[str, tuple[str, str, int]] = {
+    "osc": ("depthmocap.streaming.osc_stream", "OscStream", 9000),
+}
 
 
 def open_stream(address: str) -> Stream:
@@ -12,4 +24,23 @@ def open_stream(address: str) -> Stream:
     Raises:
         InputError: when it is no address of a stream, or the package that it needs is not installed.
     """
-    raise InputError(f"there is no stream {address!r}")
+    scheme, _, rest = address.partition("://")
+    if not rest and not address.endswith("://"):
+        raise InputError(f"a stream is SCHEME://HOST:PORT, such as osc://127.0.0.1:9000, not {address!r}")
+    if scheme not in _STREAMS:
+        raise InputError(f"there is no stream {scheme}://, only {', '.join(f'{each}://' for each in _STREAMS)}")
+    module, name, port = _STREAMS[scheme]
+    stream = getattr(importlib.import_module(module), name)(*_host_and_port(address, port))
+    stream.name = address
+    return cast(Stream, stream)
+
+
+def _host_and_port(address: str, usual_port: int) -> tuple[str, int]:
+    try:
+        parts = urlsplit(address)
+        port = usual_port if parts.port is None else parts.port
+    except ValueError as error:
+        raise InputError(f"the address {address!r} is wrong: {error}") from None
+    if parts != SplitResult(parts.scheme, parts.netloc, "", "", "") or "@" in parts.netloc or re.search(r"\s", address):
+        raise InputError(f"the address {address!r} has more than a host and a port")
+    return parts.hostname or LOCAL_HOST, port

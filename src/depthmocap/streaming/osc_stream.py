@@ -1,0 +1,96 @@
+"""``osc://HOST:PORT``: joints and their confidence by name, over Open Sound Control (UDP), by python-osc.
+
+Everybody is a bundle of their own, so that it fits into one packet:
+
+    /depthmocap/time          seconds, nanoseconds      the exposure, since 1970
+    /depthmocap/people        numbers                   of everybody in view
+    /depthmocap/N/Head        x, y, z, confidence       of person N, metres, the rig's world; and so on for every joint
+
+A joint that is not observed is left out. Where nobody is in view, the bundle has the first two alone.
+"""
+
+from __future__ import annotations
+
+import math
+import socket
+from typing import Any
+
+import numpy as np
+
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.errors import InputError, missing_extra
+from depthmocap.streaming.stream_protocol import Sample, Stream, StreamSetup
+
+
+class OscSender:
+    """Sends bundles of messages to one host. Times are in the messages: a bundle is due at once, whatever clock the
+    receiver has."""
+
+    def __init__(self, host: str, port: int) -> None:
+        """Raises InputError when python-osc is not installed, or the port cannot be one."""
+        try:
+            import pythonosc.osc_bundle_builder
+            import pythonosc.osc_message_builder
+            import pythonosc.udp_client
+        except ModuleNotFoundError:
+            raise missing_extra("python-osc", "stream") from None
+        if port == 0:
+            raise InputError("an OSC receiver's port is from 1 to 65535, got 0")
+        self._osc, self._host, self._port = pythonosc, host, port
+        self._client: Any = None
+
+    def open(self) -> None:
+        """Look the host up.
+
+        Raises:
+            InputError: when there is none of this name.
+        """
+        try:
+            found = socket.getaddrinfo(self._host, self._port, type=socket.SOCK_DGRAM)
+        except (OSError, UnicodeError) as error:
+            raise InputError(f"no host {self._host!r}: {getattr(error, 'strerror', error)}") from None
+        family, _, _, _, place = found[0]
+        self._client = self._osc.udp_client.UDPClient(str(place[0]), self._port, True, family)
+
+    def send(self, messages: list[tuple[str, list[Any]]]) -> None:
+        """Send addresses and their arguments as one bundle."""
+        bundle = self._osc.osc_bundle_builder.OscBundleBuilder(self._osc.osc_bundle_builder.IMMEDIATELY)
+        for address, values in messages:
+            message = self._osc.osc_message_builder.OscMessageBuilder(address)
+            for value in values:
+                message.add_arg(value)
+            bundle.add_content(message.build())
+        self._client.send(bundle.build())
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._client._sock.close()
+
+
+class OscStream(Stream):
+    """Sends joints to whoever listens at a port."""
+
+    def __init__(self, host: str, port: int) -> None:
+        """Raises InputError when python-osc is not installed, or the port cannot be one."""
+        self._sender = OscSender(host, port)
+
+    def start(self, setup: StreamSetup) -> None:
+        """See :class:`Stream`."""
+        self._sender.open()
+
+    def send(self, sample: Sample) -> None:
+        """See :class:`Stream`."""
+        head: list[tuple[str, list[Any]]] = [
+            ("/depthmocap/time", list(divmod(sample.unix_ns, 10**9))),
+            ("/depthmocap/people", list(sample.people)),
+        ]
+        for number, pose in sample.people.items():
+            rows = zip(JOINTS, np.column_stack([pose.joints, pose.confidence]).tolist(), strict=True)
+            seen = [(f"/depthmocap/{number}/{name}", row) for name, row in rows if all(map(math.isfinite, row))]
+            self._sender.send([*head, *seen])
+        if not sample.people:
+            self._sender.send(head)
+
+    def close(self) -> None:
+        """See :class:`Stream`."""
+        self._sender.close()

@@ -1,0 +1,60 @@
+"""Every receiver gets, of a capture in real time, the joints that are in pose.csv."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fakes import Board, fake_pipeline
+from numpy import ndarray
+from receivers import OscReceiver, osc
+
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.errors import InputError
+from depthmocap.exporting import read_csv
+from depthmocap.realtime import live_capture, live_command
+from depthmocap.realtime.live_command import LiveSettings, run_live
+from depthmocap.recordings.recording_writer import RecordingWriter
+
+__all__ = ["osc"]
+
+
+@pytest.fixture
+def recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    for module in (live_capture, live_command):
+        monkeypatch.setattr(module, "load_pipeline", lambda *arguments, **others: fake_pipeline())
+    scene, path = Board(2), tmp_path / "recording"
+    with RecordingWriter(path, scene.rig) as writer:
+        for i in range(20):
+            frames = {name: scene.depth(name, i * 0.04) for name in scene.rig.names}
+            writer.write(1_700_000_000_000_000_000 + i * 40_000_000, frames)
+    return str(path)
+
+
+def check(received: ndarray, folder: Path) -> None:
+    """Every received set of joints is a row of pose.csv, in its order, and most of its rows came."""
+    _, joints, _ = read_csv(folder / "pose.csv")
+    far = np.abs(received[:, None] - joints[None]).max((2, 3))
+    rows = far.argmin(1)
+    assert far.min(1).max() < 2e-6
+    assert (np.diff(rows) > 0).all()
+    assert len(rows) > len(joints) / 2
+
+
+def test_by_osc(recording: str, tmp_path: Path, osc: OscReceiver) -> None:
+    address = f"osc://127.0.0.1:{osc.port}"
+    summary = run_live(LiveSettings((recording,), out=tmp_path / "out", realtime=True, stream=(address,))).summary
+    check(np.stack([np.array(osc.of(f"/depthmocap/1/{name}"))[:, :3] for name in JOINTS], 1), tmp_path / "out")
+    assert not [problem for problem in summary["problems"] if "osc" in problem["text"]]
+
+
+def test_what_only_a_live_capture_can_send(recording: str) -> None:
+    with pytest.raises(InputError, match="--stream needs --realtime"):
+        run_live(LiveSettings((recording,), stream=("osc://127.0.0.1:9000",)))
+
+
+def test_a_wrong_address_ends_it_before_it_starts(recording: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is no stream smoke://"):
+        run_live(LiveSettings((recording,), out=tmp_path / "out", realtime=True, stream=("smoke://hill",)))
+    assert not (tmp_path / "out").exists()
