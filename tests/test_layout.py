@@ -20,7 +20,7 @@ GROUPS = (
     "cameras recordings",
     "segment classify pose smooth",
     "datasets exporting report",
-    "offline calibration streaming realtime",
+    "offline calibration streaming viewing realtime",
     "synth",
     "train",
     "evaluate",

@@ -81,6 +81,14 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "motion capture of a recording or a UBC3V section",
         ),
         Command(
+            "view",
+            "depthmocap.viewing.view_command",
+            "ViewSettings",
+            "view",
+            "look through a recording or a run in the browser, and correct it",
+            "view",
+        ),
+        Command(
             "replay",
             "depthmocap.realtime.replay",
             "ReplaySettings",

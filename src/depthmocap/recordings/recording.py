@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt16
+from jaxtyping import Float, Int, UInt16
 from numpy import ndarray
 
 from depthmocap.cameras.health import Fault, HealthCheck
@@ -150,6 +150,11 @@ class Recording(FrameSource):
     def stamps(self, name: str) -> list[int]:
         """The timestamps (ns) of a camera's frames in order, on the clock that all cameras share."""
         return self._stamps[name]
+
+    @property
+    def set_stamps_ns(self) -> Int[ndarray, " sets"]:
+        """The timestamps (ns) of all sets, in order."""
+        return np.array([stamp_set.timestamp_ns for stamp_set in self._sets], np.int64)
 
     def device_time(self, name: str, stamp: int) -> tuple[int, str]:
         """A frame's time (ns) by its camera's clock, and the name of that clock; in a folder the shared one."""

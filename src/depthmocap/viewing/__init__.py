@@ -1,0 +1,1 @@
+"""Views of takes and of running captures in a browser."""

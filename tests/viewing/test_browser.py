@@ -1,0 +1,79 @@
+"""A real browser on a real page: it loads, asks nothing of other machines, the skeleton moves, and controls work."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+
+pytestmark = pytest.mark.slow
+_SOFTWARE = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium without a window; tests are skipped where it, or playwright, is absent."""
+    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if chromium is None:
+        pytest.skip("no Chromium on this machine")
+    api = pytest.importorskip("playwright.sync_api", reason="no playwright to drive Chromium with")
+    with api.sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=chromium, headless=True, args=list(_SOFTWARE))
+        yield started
+        started.close()
+
+
+def until(true: Callable[[], bool], seconds: float = 30.0) -> bool:
+    """Wait for something to become true."""
+    end_s = time.monotonic() + seconds
+    while not true() and time.monotonic() < end_s:
+        time.sleep(0.05)
+    return true()
+
+
+def moved(page: Any, before: bytes) -> Callable[[], bool]:
+    """Whether the picture of the scene differs from an earlier one."""
+    return lambda: page.locator("canvas").first.screenshot() != before
+
+
+def test_a_take_in_a_browser(browser: Any, result: Path) -> None:
+    from depthmocap.viewing.page import Page
+    from depthmocap.viewing.take_page import TakePage
+    from depthmocap.viewing.viewed_take import open_take
+
+    with Page("127.0.0.1", 0, "depthmocap") as served, TakePage(served, open_take((result,))) as view:
+        asked: set[str | None] = set()
+        faults: list[str] = []
+        page = browser.new_page(viewport={"width": 1200, "height": 800})
+        page.on("request", lambda request: asked.add(urlsplit(request.url).hostname))
+        page.on("websocket", lambda socket: asked.add(urlsplit(socket.url).hostname))
+        page.on("pageerror", lambda error: faults.append(str(error)))
+        page.goto(served.url)
+        page.get_by_text("frame 0 of 7").wait_for(timeout=60_000)
+        second = browser.new_page(viewport={"width": 400, "height": 300})
+        second.goto(served.url)
+        assert until(lambda: len(served.server.get_clients()) == 2)
+
+        view.cloud.value = "off"
+        view.player.redraw()
+        until(lambda: not view.drawing._cloud.visible)
+        time.sleep(1.0)
+        before = page.locator("canvas").first.screenshot()
+        page.get_by_role("button", name="+1", exact=True).click()
+        assert until(lambda: view.player.index == 1)
+        page.get_by_text("frame 1 of 7").wait_for()
+        assert until(moved(page, before))  # the skeleton
+        page.keyboard.press("End")
+        assert until(lambda: view.player.index == 7)
+        page.get_by_role("button", name="Play").click()
+        assert until(lambda: view.player.playing)
+        second.close()  # which stops nothing
+        seen: set[int] = set()
+        assert until(lambda: not seen.add(view.player.index) and len(seen) > 3)
+        assert not faults
+        assert asked - {None, ""} == {"127.0.0.1"}
