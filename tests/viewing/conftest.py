@@ -11,7 +11,7 @@ import pytest
 from viewed import write_recording, write_result
 
 if TYPE_CHECKING:
-    from depthmocap.viewing.page import Page
+    from depthmocap.viewing.viewer_page import Page
 
 #: Without viser none of them runs.
 collect_ignore_glob = [] if importlib.util.find_spec("viser") else ["test_*.py"]
@@ -35,7 +35,7 @@ def result(recording: Path, tmp_path: Path) -> Path:
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:
     """A page that is served on this machine alone."""
-    from depthmocap.viewing.page import Page
+    from depthmocap.viewing.viewer_page import Page
 
     with Page("127.0.0.1", 0, "depthmocap") as served:
         yield served

@@ -42,9 +42,9 @@ def moved(page: Any, before: bytes) -> Callable[[], bool]:
 
 
 def test_a_take_in_a_browser(browser: Any, result: Path) -> None:
-    from depthmocap.viewing.page import Page
     from depthmocap.viewing.take_page import TakePage
     from depthmocap.viewing.viewed_take import open_take
+    from depthmocap.viewing.viewer_page import Page
 
     with Page("127.0.0.1", 0, "depthmocap") as served, TakePage(served, open_take((result,))) as view:
         asked: set[str | None] = set()

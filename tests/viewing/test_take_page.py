@@ -17,9 +17,9 @@ from depthmocap.errors import InputError
 from depthmocap.exporting.edits import Edit, Edits, Marker, write_edits
 from depthmocap.exporting.stored_result import read_result
 from depthmocap.viewing.display_colours import confidence_colours, distance_colours
-from depthmocap.viewing.page import Page, as_html, open_browser
 from depthmocap.viewing.take_page import TakePage
 from depthmocap.viewing.viewed_take import open_take
+from depthmocap.viewing.viewer_page import Page, as_html, open_browser
 
 
 def bones(drawing: Any) -> np.ndarray:

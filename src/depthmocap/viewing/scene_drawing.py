@@ -21,7 +21,7 @@ from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera, transform_points, z_up_from
 from depthmocap.geometry.transforms import unit
 from depthmocap.viewing.display_colours import distance_colours, line_colours, palette_colour
-from depthmocap.viewing.page import plain
+from depthmocap.viewing.viewer_page import plain
 
 CloudColours = Literal["camera", "depth", "body part"]
 Colour = tuple[int, int, int]

@@ -16,11 +16,11 @@ from depthmocap.exporting.stored_result import StoredResult
 from depthmocap.frames import FrameSet
 from depthmocap.report.drawing import depth_picture
 from depthmocap.viewing.display_colours import BESIDE, TRUTH, confidence_colours, palette_colour
-from depthmocap.viewing.page import Page, as_html, every, plain
 from depthmocap.viewing.scene_drawing import TRAIL_LENGTH, CloudColours, SceneDrawing, SkeletonDrawing
 from depthmocap.viewing.take_player import SPEEDS, TakePlayer
 from depthmocap.viewing.take_plots import TakePlots
 from depthmocap.viewing.viewed_take import ViewedTake, gap_starts, worst_instants
+from depthmocap.viewing.viewer_page import Page, as_html, every, plain
 
 #: Most instants drawn in a second.
 DRAWS_A_SECOND = 30.0

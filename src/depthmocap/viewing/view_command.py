@@ -10,9 +10,9 @@ import tyro
 from rich.console import Console
 
 from depthmocap.core.console import Terminal
-from depthmocap.viewing.page import Page, open_browser
 from depthmocap.viewing.take_page import TakePage
 from depthmocap.viewing.viewed_take import open_take
+from depthmocap.viewing.viewer_page import Page, open_browser
 
 #: Where viewers listen.
 HOST, PORT = "127.0.0.1", 8080
