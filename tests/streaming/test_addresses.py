@@ -32,7 +32,9 @@ def test_a_wrong_address_is_one_line(address: str, message: str) -> None:
         open_stream(address)
 
 
-@pytest.mark.parametrize(("address", "module", "package"), [("osc://", "pythonosc", "python-osc")])
+@pytest.mark.parametrize(
+    ("address", "module", "package"), [("osc://", "pythonosc", "python-osc"), ("vmc://", "pythonosc", "python-osc")]
+)
 def test_a_missing_package_is_told_with_its_extra(
     monkeypatch: pytest.MonkeyPatch, address: str, module: str, package: str
 ) -> None:

@@ -13,6 +13,7 @@ from receivers import OscReceiver, osc
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
 from depthmocap.exporting import read_csv
+from depthmocap.exporting.timeline import Y_UP_FROM_Z_UP
 from depthmocap.realtime import live_capture, live_command
 from depthmocap.realtime.live_command import LiveSettings, run_live
 from depthmocap.recordings.recording_writer import RecordingWriter
@@ -47,6 +48,13 @@ def test_by_osc(recording: str, tmp_path: Path, osc: OscReceiver) -> None:
     summary = run_live(LiveSettings((recording,), out=tmp_path / "out", realtime=True, stream=(address,))).summary
     check(np.stack([np.array(osc.of(f"/depthmocap/1/{name}"))[:, :3] for name in JOINTS], 1), tmp_path / "out")
     assert not [problem for problem in summary["problems"] if "osc" in problem["text"]]
+
+
+def test_bones_by_vmc(recording: str, tmp_path: Path, osc: OscReceiver) -> None:
+    address = f"vmc://127.0.0.1:{osc.port}"
+    run_live(LiveSettings((recording,), out=tmp_path / "out", realtime=True, stream=(address,)))
+    hips = np.array([[-x, y, z] for name, x, y, z, *_ in osc.of("/VMC/Ext/Bone/Pos") if name == "Hips"])
+    check(np.repeat((hips @ Y_UP_FROM_Z_UP)[:, None], len(JOINTS), 1), tmp_path / "out")  # all are at one place
 
 
 def test_what_only_a_live_capture_can_send(recording: str) -> None:

@@ -15,6 +15,7 @@ LOCAL_HOST = "127.0.0.1"
 #: For each scheme the module and the class of its stream, and its usual port.
 _STREAMS: dict[str, tuple[str, str, int]] = {
     "osc": ("depthmocap.streaming.osc_stream", "OscStream", 9000),
+    "vmc": ("depthmocap.streaming.vmc_stream", "VmcStream", 39539),
 }
 
 

@@ -21,6 +21,9 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.streaming.stream_protocol import Sample, Stream, StreamSetup
 
+#: Messages of one bundle: with the headers of all layers below 1,500 bytes, beyond which a packet is cut in pieces.
+MOST_BYTES = 1400
+
 
 class OscSender:
     """Sends bundles of messages to one host. Times are in the messages: a bundle is due at once, whatever clock the
@@ -53,13 +56,19 @@ class OscSender:
         self._client = self._osc.udp_client.UDPClient(str(place[0]), self._port, True, family)
 
     def send(self, messages: list[tuple[str, list[Any]]]) -> None:
-        """Send addresses and their arguments as one bundle."""
-        bundle = self._osc.osc_bundle_builder.OscBundleBuilder(self._osc.osc_bundle_builder.IMMEDIATELY)
+        """Send addresses and their arguments as a bundle, or as several where they do not fit into one packet."""
+        builder = self._osc.osc_bundle_builder
+        bundle, size = builder.OscBundleBuilder(builder.IMMEDIATELY), 0
         for address, values in messages:
             message = self._osc.osc_message_builder.OscMessageBuilder(address)
             for value in values:
                 message.add_arg(value)
-            bundle.add_content(message.build())
+            built = message.build()
+            if size + built.size > MOST_BYTES:
+                self._client.send(bundle.build())
+                bundle, size = builder.OscBundleBuilder(builder.IMMEDIATELY), 0
+            bundle.add_content(built)
+            size += built.size + 4  # and its length
         self._client.send(bundle.build())
 
     def close(self) -> None:
