@@ -45,9 +45,10 @@ lint: $(VENV)/dev
 benchmark: $(VENV)/body
 	$(BIN)/python benchmarks/run.py
 
-# The tables of results made anew and written into the pages: hours of one core, which may be spent in parts.
+# The tables of results made anew and written into the pages: hours of one core, which may be spent in parts; those of
+# speed want a machine that does nothing else. What it does, on little: RESULTS="--quick --only people".
 results: $(VENV)/body
-	$(BIN)/python benchmarks/results.py $(CLIPS)
+	$(BIN)/python benchmarks/results.py $(CLIPS) $(RESULTS)
 
 # The site, into out/site; it is built from the pages, the code and the commands' own help.
 docs: $(VENV)/docs

@@ -1,6 +1,6 @@
 """Rows of recording, and a comparison of codings of depth.
 
-    python benchmarks/record_rows.py [--samples 8]
+    python benchmarks/record_rows.py [--samples 8] [--json FILE]
 
 prints, of every coding, how many times smaller than raw it is and how many 512×424 frames a second of CPU time it codes
 and decodes, on generated Kinect 2 depth of furnished rooms with the sensor's noise (three views a sample).
@@ -12,6 +12,7 @@ import dataclasses
 import itertools
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import cv2
 import numba
@@ -22,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 from timing import Bench, Reference
 
+from depthmocap.core.output import write_json
 from depthmocap.errors import missing_extra
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.recordings.depth_codec import decode_depth, encode_depth
@@ -171,10 +173,12 @@ class Settings:
     Attributes:
         samples: generated people in rooms, of three views each.
         rounds: number of measurements of each coding, in turns with the others.
+        json: file for all numbers.
     """
 
     samples: int = 8
     rounds: int = 3
+    json: Path | None = None
 
 
 def main(settings: Settings) -> None:
@@ -197,15 +201,25 @@ def main(settings: Settings) -> None:
             if turn:
                 seconds[name][0] += middle - start
                 seconds[name][1] += end - middle
-    table = Table(title=f"{len(frames)} frames; differences to the left have {_entropy_bits(frames):.2f} bits a pixel")
+    count = settings.rounds * len(frames)
+    rows = {
+        name: {
+            "ratio": sum(raw.nbytes for raw in frames) / size[name],
+            "coded_a_second": count / seconds[name][0],
+            "decoded_a_second": None if decode is None else count / seconds[name][1],
+        }
+        for name, (_, decode) in codings.items()
+    }
+    bits = _entropy_bits(frames)
+    table = Table(title=f"{len(frames)} frames; differences to the left have {bits:.2f} bits a pixel")
     for column in ("coding", "ratio", "coded a second", "decoded a second"):
         table.add_column(column, justify="left" if column == "coding" else "right")
-    count = settings.rounds * len(frames)
-    for name, (_, decode) in codings.items():
-        ratio = sum(raw.nbytes for raw in frames) / size[name]
-        decoded = "" if decode is None else f"{count / seconds[name][1]:.0f}"
-        table.add_row(name, f"{ratio:.2f}", f"{count / seconds[name][0]:.0f}", decoded)
+    for name, row in rows.items():
+        decoded = "" if row["decoded_a_second"] is None else f"{row['decoded_a_second']:.0f}"
+        table.add_row(name, f"{row['ratio']:.2f}", f"{row['coded_a_second']:.0f}", decoded)
     Console(width=110).print(table)
+    if settings.json is not None:
+        write_json(settings.json, {"frames": len(frames), "bits_a_pixel": bits, "codings": rows})
 
 
 if __name__ == "__main__":

@@ -1,0 +1,44 @@
+"""Table of docs/results/calibration.md: errors of calibration against the truth."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from measurements import Measurement, Scale
+
+PAGES = ("docs/results/calibration.md",)
+_KINDS = ("3 cameras", "2 cameras, 90° apart")
+
+
+def measurements(clips: str, scale: Scale) -> dict[str, Measurement]:
+    """By name: the command that this table names."""
+    words = ("calibration_trial.py", "{folder}")
+    return {"calibration": Measurement((*words, "--seconds", "10") if scale.quick else words, "trial.json")}
+
+
+def trial(numbers: dict[str, Any]) -> list[str]:
+    """A row for each kind of scene: means over its pairs of cameras, and over its repeats."""
+    lines = [
+        "| | mm | degrees | ± | tilt; height of cameras | joints cm, true rig; found rig |",
+        "|---|---|---|---|---|---|",
+    ]
+    for kind in _KINDS:
+        rows = [row for row in numbers["calibration"] if row["scene"] == kind]
+        mean = {name: float(np.mean([row[name] for row in rows])) for name, value in rows[0].items()
+                if isinstance(value, float)}  # fmt: skip
+        worst = {name: max(row[f"most {name}"] for row in rows) for name in ("mm", "degrees")}
+        mm, degrees = f"{mean['mm']:.1f}", f"{mean['degrees']:.2f}"
+        if not kind.startswith("2 cameras"):  # which are one pair
+            mm, degrees = f"{mm} (worst {worst['mm']:.1f})", f"{degrees} ({worst['degrees']:.2f})"
+        cells = (
+            mm, degrees,
+            f"{max(row['± mm'] for row in rows):.1f} mm, {max(row['± degrees'] for row in rows):.2f}°",
+            f"{mean['tilt degrees']:.2f}°; {mean['height mm']:.1f} mm",
+            f"{mean['joints cm, true rig']:.2f}; {mean['joints cm, found rig']:.2f}",
+        )  # fmt: skip
+        lines.append(f"| {kind} | {' | '.join(cells)} |")
+    return lines
+
+
+TABLES = {"calibration": trial}

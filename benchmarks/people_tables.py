@@ -1,0 +1,163 @@
+"""Tables of docs/results/people.md."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from measurements import Measurement, Scale, share
+
+from depthmocap.evaluate.posture_scenarios import ACTS
+
+PAGES = ("docs/results/people.md",)
+WAYS = ("auto", "network", "background")
+#: What happens in an act, where its name does not say it.
+_ACTS = {
+    "lies down": "lies down and gets up",
+    "falls": "falls and lies",
+    "sits on the floor": "sits down on the floor",
+    "lies still": "lies still for 3 minutes (3 sets a second)",
+    "stands still": "stands still for 3 minutes (3 sets a second)",
+    "infant": "an infant on the floor",
+    "apart 1 m": "two, 1 m apart",
+    "apart 0.6 m": "two, 0.6 m apart",
+    "embrace": "an embrace",
+}
+_JOINTS = {
+    "with true masks": "with true masks",
+    "by all cameras": "by all cameras (the default)",
+    "by each view": "by each view alone: its largest body",
+    "alone": "by all cameras, the second person not there",
+}
+RETURNS = ("two, unlike", "two, alike", "three, unlike", "three, alike", "two and a newcomer")
+
+
+def measurements(clips: str, scale: Scale) -> dict[str, Measurement]:
+    """By name: the commands that these tables name."""
+    people = ("evaluate", "people")
+    background = ("--segment", "background")
+    slow = ("--rate-hz", "1" if scale.quick else "10")
+    two = str(min(2, scale.meetings))
+    words = {
+        "people_postures": (*people, "--scenario", "postures", "--scenes", "1", "--segment", *WAYS),
+        "people_rooms": (*people, "--scenario", "rooms", "--scenes", str(scale.rooms), "--segment", "auto"),
+        "people_rooms_background": (
+            *people,
+            "--scenario",
+            "rooms",
+            "--scenes",
+            str(scale.rooms * 5 // 3),
+            *background,
+        ),
+        "people_meeting": (*people, "--scenes", str(scale.meetings), "--no-joints", *background),
+        "people_joints": (*people, "--scenes", two, *background, *slow),
+        "people_returns": (*people, "--scenario", "returns", "--scenes", "1", *background, *slow),
+        "people_beside": (*people, "--scenario", "beside", "--scenes", two, *background, *slow),
+    }
+    return {name: Measurement(each) for name, each in words.items()}
+
+
+def _overlap(row: dict[str, Any]) -> str:
+    return f"{row['overlap_mean']:.3f} ({row['overlap_p5']:.2f}) | {share(row['found_share'])}"
+
+
+def _seconds(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
+
+
+def _first_mask(row: dict[str, Any]) -> str:
+    return f"{_seconds(row['first_mask_s_p50'])} ({_seconds(row['first_mask_s_most'])})"
+
+
+def postures(numbers: dict[str, Any]) -> list[str]:
+    """One or two people in any posture, by every way of finding people."""
+    rows = numbers["people_postures"]
+    lines = [f"| Overlap with the truth; found | {' | '.join(f'`{way}`' for way in WAYS)} |", "|---|---|---|---|"]
+    for act in ACTS:
+        cells = [rows[f"{act}, {way}"] for way in WAYS]
+        shown = (f"{row['overlap_mean']:.2f}; {share(row['found_share'])}" for row in cells)
+        lines.append(f"| {_ACTS.get(act, act)} | {' | '.join(shown)} |")
+    times = [[rows[f"{act}, {way}"]["cpu_ms_per_view"] for act in ACTS] for way in WAYS]
+    lines.append(f"| CPU ms a view | {' | '.join(f'{min(each):.1f} to {max(each):.1f}' for each in times)} |")
+    return lines
+
+
+def rooms(numbers: dict[str, Any]) -> list[str]:
+    """Rooms without anybody."""
+    rows = {
+        "auto": numbers["people_rooms"]["rooms without people, auto"],
+        "background": numbers["people_rooms_background"]["rooms without people, background"],
+    }
+    return [
+        f"| | {' | '.join(f'`{way}`' for way in rows)} |",
+        "|---|---|---|",
+        "| sets in which somebody is told of | "
+        + " | ".join(f"{row['ghost_sets']} of {row['sets']}" for row in rows.values())
+        + " |",
+    ]
+
+
+def meeting(numbers: dict[str, Any]) -> list[str]:
+    """Two people who cross."""
+    rows = {
+        "background known": numbers["people_meeting"]["meeting, background, background known"],
+        "background learnt on the run": numbers["people_meeting"]["meeting, background"],
+    }
+    known = rows["background known"]
+    scenes = numbers["people_meeting"]["settings"]["scenes"]
+    lines = [
+        f"| Masks, {scenes} scenes ({known['sets']:,} sets, {known['arrivals']} arrivals) | overlap with the truth "
+        "(5 % quantile) | found | another number | first mask after s, median (most) | sets with a ghost | "
+        "CPU ms a view |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {name} | {_overlap(row)} | {row['switches']} times | {_first_mask(row)} | {row['ghost_sets']} | "
+        f"{row['cpu_ms_per_view']:.1f} |"
+        for name, row in rows.items()
+    ]
+    return lines
+
+
+def joints(numbers: dict[str, Any]) -> list[str]:
+    """The first person's joints beside another's."""
+    settings, rows = numbers["people_joints"]["settings"], numbers["people_joints"]["first person's joints, cm"]
+    lines = [
+        f"| First person's joints, nothing smoothed ({settings['scenes']} scenes) | error cm | second within 1.2 m |",
+        "|---|---|---|",
+    ]
+    lines += [f"| {text} | {rows[name]['mean']:.2f} | {rows[name]['near']:.2f} |" for name, text in _JOINTS.items()]
+    return lines
+
+
+def returns(numbers: dict[str, Any]) -> list[str]:
+    """Who gets the old number on return."""
+    lines = [
+        "| Returns | old number, new, somebody else's | first mask of an arrival after s, median |",
+        "|---|---|---|",
+    ]
+    for name in RETURNS:
+        row = numbers["people_returns"][f"{name}, background, background known"]
+        counts = f"{row['returns_old']}, {row['returns_new']}, {row['returns_wrong']}"
+        text = f"{name} among them, unlike" if name.endswith("newcomer") else name
+        lines.append(f"| {text} | {counts} | {_seconds(row['first_mask_s_p50'])} |")
+    return lines
+
+
+def beside(numbers: dict[str, Any]) -> list[str]:
+    """Somebody who stands at furniture from the start."""
+    row, scenes = (
+        numbers["people_beside"]["beside furniture, background"],
+        numbers["people_beside"]["settings"]["scenes"],
+    )
+    return [
+        f"| {scenes} scenes | overlap with the truth (5 % quantile) | found | first mask after s, median (most) | "
+        "sets with a ghost |",
+        "|---|---|---|---|---|",
+        f"| | {_overlap(row)} | {_first_mask(row)} | {row['ghost_sets']} of {row['sets']} |",
+    ]
+
+
+TABLES = {
+    "people_postures": postures, "people_rooms": rooms, "people_meeting": meeting, "people_joints": joints,
+    "people_returns": returns, "people_beside": beside,
+}  # fmt: skip
