@@ -100,9 +100,22 @@ def test_a_run_trains_resumes_and_exports_what_the_detector_reads(body_model: Bo
     assert kept.keys() == state.keys()
 
 
+def test_checkpoints_and_starts_that_cannot_be(tmp_path: Path) -> None:
+    torch.save({"history": "[]", "done": 16, "spent": 1.0}, tmp_path / "checkpoint.pt")
+    with pytest.raises(InputError, match=r"checkpoint\.pt is of another network or optimiser"):
+        train_people(PeopleTraining(tmp_path))
+    with pytest.raises(InputError, match="--start must not be a file that training writes"):
+        train_people(PeopleTraining(tmp_path, start=tmp_path / "people.safetensors"))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
-    [({"batch": 0}, "--batch"), ({"learning_rate": -1.0}, "--learning-rate"), ({"minutes": -1.0}, "--minutes")],
+    [
+        ({"batch": 0}, "--batch"),
+        ({"learning_rate": -1.0}, "--learning-rate"),
+        ({"minutes": -1.0}, "--minutes"),
+        ({"average": 1.0}, "--average"),
+    ],
 )
 def test_settings_that_cannot_be(change: dict, message: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=message):

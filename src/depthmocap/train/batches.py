@@ -24,11 +24,11 @@ from depthmocap.frames import View
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, Variation, posture_source
 from depthmocap.synth.sample import Recipe, Split, Subset
 from depthmocap.synth.sample import Sampler as SampleSampler
+from depthmocap.train.training_run import ENDLESS
 from depthmocap.train.windows import Degradations, LabelledWindow, labelled_window, training_window
 
 #: Seed of all validation sets, so that numbers of different runs can be compared.
 _VALID_SEED = 1_000_003
-_ENDLESS = 1 << 40
 #: Number of batches that are sorted together by the size of their windows.
 _SORTED_BATCHES = 8
 #: Number of windows between one and its mirror image.
@@ -117,7 +117,7 @@ class _SynthWindows(Dataset[LabelledWindow]):
         self.degradations = None if "spoiling" in source.without else Degradations()
 
     def __len__(self) -> int:
-        return _ENDLESS
+        return ENDLESS
 
     def __getitem__(self, index: int) -> LabelledWindow:
         source = self.source
@@ -137,7 +137,7 @@ class _PaperWindows(Dataset[LabelledWindow]):
         self.sampler = SampleSampler(recipe, source.seed)
 
     def __len__(self) -> int:
-        return _ENDLESS
+        return ENDLESS
 
     def __getitem__(self, index: int) -> LabelledWindow:
         (view,) = self.sampler(self.first + index).views
@@ -163,7 +163,7 @@ class _FolderWindows(Dataset[LabelledWindow]):
         self.order = np.random.default_rng(source.seed).permutation(len(self.index))
 
     def __len__(self) -> int:
-        return _ENDLESS
+        return ENDLESS
 
     def __getitem__(self, index: int) -> LabelledWindow:
         for attempt in range(100):  # a view may be missing or show no person

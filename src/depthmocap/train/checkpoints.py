@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import nn
 
+from depthmocap.core.output import write_file
 from depthmocap.core.reading.input_files import check_file, read_bytes
 from depthmocap.core.reading.json_text import number, parse_json, whole_number
 from depthmocap.errors import InputError
@@ -57,6 +58,19 @@ def load_weights(network: nn.Module, path: Path) -> None:
         network.load_state_dict(state)
     except (SafetensorError, RuntimeError, ValueError) as error:
         raise InputError(f"{path} does not hold weights of this network: {str(error).splitlines()[0]}") from None
+
+
+def save_weights(network: nn.Module, path: Path) -> None:
+    """Write a network's weights as .safetensors, kernels in half precision. Norms and biases are few and keep their
+    range; kernels take half the space.
+
+    Raises:
+        InputError: when the file cannot be written.
+    """
+    from safetensors.torch import save
+
+    state = {k: v.half() if v.is_floating_point() and v.ndim > 1 else v for k, v in network.state_dict().items()}
+    write_file(path, save({k: v.cpu().contiguous() for k, v in state.items()}))
 
 
 def blend_weights(network: nn.Module, start: Path, share: float) -> None:

@@ -27,11 +27,8 @@ from depthmocap.train.batches import WindowSource
 from depthmocap.train.checkpoints import load_weights
 from depthmocap.train.classifier_settings import ClassifierTraining, Optimiser
 from depthmocap.train.networks import NETWORKS
-from depthmocap.train.train_classifier import (
-    check_device,
-    evaluate_windows,
-    train_classifier,
-)
+from depthmocap.train.train_classifier import evaluate_windows, train_classifier
+from depthmocap.train.training_run import check_device
 
 _SUBSETS: tuple[Subset, ...] = ("easy", "inter", "hard")
 #: Pictures an iteration.
@@ -111,8 +108,8 @@ class CurriculumTraining:
         """The run of a stage."""
         images = self.iterations(stage) * PAPER_BATCH
         return ClassifierTraining(
-            self._folder(optimiser, stage.name), self.data, self.postures, stage.subset, "paper", images,
-            batch=PAPER_BATCH, optimiser=optimiser, schedule="constant", average=0.0,
+            self._folder(optimiser, stage.name), data=self.data, postures=self.postures, subset=stage.subset,
+            network="paper", images=images, batch=PAPER_BATCH, optimiser=optimiser, schedule="constant", average=0.0,
             learning_rate=_RATES[optimiser] if self.learning_rate is None else self.learning_rate,
             start=None if stage.start is None else self._folder(optimiser, stage.start) / "classifier.safetensors",
             seed=self.seed, workers=self.workers, device=self.device, bfloat16=self.bfloat16,

@@ -6,7 +6,6 @@ import contextlib
 import copy
 import dataclasses
 import json
-import math
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -18,7 +17,6 @@ from jaxtyping import Float, Float32
 from numpy import ndarray
 from rich.console import Console
 from rich.progress import Progress
-from safetensors.torch import save as serialise
 from torch import nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
@@ -44,9 +42,10 @@ from depthmocap.pose.parts import (
     yaw_matrix,
 )
 from depthmocap.pose.ridge import grouped_folds
-from depthmocap.train.checkpoints import load_weights
+from depthmocap.train.checkpoints import load_weights, save_weights
 from depthmocap.train.pose_samples import CollectedSamples
 from depthmocap.train.precision import in_bfloat16
+from depthmocap.train.training_run import LEAST_RATE, cosine_rate
 from depthmocap.train.votes_network import VotesNet
 
 #: A joint within this distance (metres) of the true one is correct, as in the paper; the confidence predicts it.
@@ -238,9 +237,9 @@ class _Run:
 
     def step(self, inputs: torch.Tensor, joints: torch.Tensor, share: float) -> float:
         """Train on one batch at a share (0–1) of the run; returns the mean distance (cm) of the joints."""
+        factor = cosine_rate(share, (self.steps + 1) / _WARM_UP_STEPS)
         for group in self._optimiser.param_groups:
-            warm_up = min(1.0, (self.steps + 1) / _WARM_UP_STEPS)
-            group["lr"] = self._settings.learning_rate * warm_up * 0.5 * (1 + math.cos(math.pi * share)) + 1e-6
+            group["lr"] = self._settings.learning_rate * factor + LEAST_RATE
         with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
             estimates, logits = self._network(inputs)
         distance = (estimates - joints).norm(dim=-1)
@@ -292,8 +291,7 @@ def train_votes(samples: CollectedSamples, settings: VotesTraining, seed: int, o
                 history.append(row)
                 progress.console.print({k: round(v, 3) for k, v in row.items()})
     network = run.best().eval()
-    half = {k: v.half() if v.ndim > 1 else v for k, v in network.state_dict().items()}
-    write_file(out / "votes.safetensors", serialise({k: v.contiguous() for k, v in half.items()}))
+    save_weights(network, out / "votes.safetensors")
     write_file(out / "votes.jsonl", "".join(json.dumps(row) + "\n" for row in history))
     return export_votes(network, out / "votes.onnx")
 
