@@ -72,7 +72,6 @@ def test_jumps_go_to_gaps_and_to_the_worst(page: Page, result: Path) -> None:
     view = TakePage(page, open_take((result,)))
     view.person.value = "person 1"
     view._choose_person()
-    view._drawn_confidence = view.take.confidence(view.chosen)
     for kind, index in (("gap ›", GAP[0]), ("worst ›", 2), ("gap ›", GAP[0]), ("‹ gap", GAP[0])):
         view.jumps._impl.value = kind
         view._jump()

@@ -42,6 +42,8 @@ class TakePage:
         self._worst: list[int] = []
         self._worst_shown = -1
         self._failed = ""
+        #: While an instant is drawn, the take stays as it is.
+        self._drawing = threading.Lock()
         gui, cameras = page.server.gui, take.rig.cameras if take.rig is not None else ()
         self.drawing = SceneDrawing(page.server, cameras, take.up)
         up, scene = self.drawing.up_world, page.server.scene
@@ -95,7 +97,7 @@ class TakePage:
         every(self.jumps, self._jump)
         every(self.speed, self._set_speed)
         every(self.loop, lambda: setattr(self.player, "loop", bool(self.loop.value)))
-        every(self.person, self._choose_person)
+        every(self.person, self._choose)
         keys: tuple[tuple[str, Any, Callable[[], None]], ...] = (
             ("Play or stop", "space", lambda: self._play(not self.player.playing)),
             ("Next frame", "arrowright", lambda: self.step(1)),
@@ -169,6 +171,10 @@ class TakePage:
     def _show_floor(self) -> None:
         self.drawing.floor.visible = self.drawing.axes.visible = bool(self.floor.value)
 
+    def _choose(self) -> None:
+        with self._drawing:
+            self._choose_person()
+
     def _choose_person(self) -> None:
         self._drawn_confidence, self._worst = self.take.confidence(self.chosen), []
         self.plots.set_take(self.take, self.chosen)
@@ -200,12 +206,14 @@ class TakePage:
         Raises:
             InputError: when nothing is left of it.
         """
-        stamp = int(self.take.stamps_ns[self.player.index])
-        self.take.change_result(result)
-        self.slider.max = max(len(self.take) - 1, 1)
-        self.person.options = self._person_choices()
-        self.player.set_times(self.take.times_s, self.take.index_at(stamp))
-        self._choose_person()
+        with self._drawing:
+            stamp = int(self.take.stamps_ns[self.player.index])
+            self.take.change_result(result)
+            self.slider.max = max(len(self.take) - 1, 1)
+            if self.person.options != self._person_choices():
+                self.person.options = self._person_choices()
+            self.player.set_times(self.take.times_s, self.take.index_at(stamp))
+            self._choose_person()
 
     def _run(self) -> None:
         """Draw until the end."""
@@ -228,7 +236,8 @@ class TakePage:
     def _draw_safely(self, index: int) -> None:
         """Draw; what cannot be drawn is told once, and the page goes on."""
         try:
-            self.draw(min(index, len(self.take) - 1))
+            with self._drawing:
+                self.draw(min(index, len(self.take) - 1))
         except (InputError, OSError) as error:
             if str(error) != self._failed:
                 self._failed = str(error)

@@ -10,6 +10,7 @@ import tyro
 from rich.console import Console
 
 from depthmocap.core.console import Terminal
+from depthmocap.viewing.edit_controls import EditControls
 from depthmocap.viewing.take_page import TakePage
 from depthmocap.viewing.viewed_take import open_take
 from depthmocap.viewing.viewer_page import Page, open_browser
@@ -49,7 +50,9 @@ def view(settings: ViewSettings, console: Console | None = None) -> None:
     console = console or Terminal(stderr=True)
     with console.status("reading"):
         take = open_take(settings.paths, settings.beside, settings.rig)
-    with Page(settings.host, settings.port, "depthmocap") as page, TakePage(page, take):
+    with Page(settings.host, settings.port, "depthmocap") as page, TakePage(page, take) as shown:
+        if take.result is not None:
+            EditControls(shown)
         for note in take.notes:
             console.print(f"• {note}")
         console.print(f"open {page.url} in a browser; Ctrl-C ends")
