@@ -33,7 +33,12 @@ def test_a_wrong_address_is_one_line(address: str, message: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("address", "module", "package"), [("osc://", "pythonosc", "python-osc"), ("vmc://", "pythonosc", "python-osc")]
+    ("address", "module", "package"),
+    [
+        ("osc://", "pythonosc", "python-osc"),
+        ("vmc://", "pythonosc", "python-osc"),
+        ("ws://", "websockets", "websockets"),
+    ],
 )
 def test_a_missing_package_is_told_with_its_extra(
     monkeypatch: pytest.MonkeyPatch, address: str, module: str, package: str

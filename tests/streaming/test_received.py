@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 from fakes import Board, fake_pipeline
 from numpy import ndarray
-from receivers import OscReceiver, osc
+from receivers import OscReceiver, attempted, free_port, osc, wait_until
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
@@ -55,6 +57,23 @@ def test_bones_by_vmc(recording: str, tmp_path: Path, osc: OscReceiver) -> None:
     run_live(LiveSettings((recording,), out=tmp_path / "out", realtime=True, stream=(address,)))
     hips = np.array([[-x, y, z] for name, x, y, z, *_ in osc.of("/VMC/Ext/Bone/Pos") if name == "Hips"])
     check(np.repeat((hips @ Y_UP_FROM_Z_UP)[:, None], len(JOINTS), 1), tmp_path / "out")  # all are at one place
+
+
+def test_by_websocket(recording: str, tmp_path: Path) -> None:
+    client = pytest.importorskip("websockets.sync.client")
+    address, received = f"ws://127.0.0.1:{free_port()}", list[str]()
+
+    def listen() -> None:
+        with wait_until(lambda: attempted(lambda: client.connect(address))) as connection:
+            received.extend(connection)
+
+    listener = threading.Thread(target=listen)
+    listener.start()
+    run_live(LiveSettings((recording,), out=tmp_path / "out", realtime=True, stream=(address,)))
+    listener.join()
+    messages = [json.loads(each) for each in received]
+    sets = [np.array(each["people"][0]["joints"]) for each in messages if each["type"] == "poses"]
+    check(np.stack(sets), tmp_path / "out")
 
 
 def test_what_only_a_live_capture_can_send(recording: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +18,21 @@ def wait_until(ready: Callable[[], Any], seconds: float = 20.0) -> Any:
         assert time.monotonic() < end_s, "nothing came"
         time.sleep(0.002)
     return outcome
+
+
+def attempted(call: Callable[[], Any]) -> Any:
+    """What ``call`` gives; None where the system refuses it."""
+    try:
+        return call()
+    except OSError:
+        return None
+
+
+def free_port() -> int:
+    """A port of this machine where nobody listens."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
 
 
 class OscReceiver:

@@ -57,8 +57,8 @@ class LiveSettings(PipelineSettings):
         wait_ms: how long a set waits for a camera that is late.
         rate_hz: sets a second; by default the fastest camera's rate.
         triggered: the cameras expose together, by a wire.
-        stream: send every result to another program as soon as it is known: osc://HOST:PORT, vmc://HOST:PORT. May be
-            given several times.
+        stream: send every result to another program as soon as it is known: osc://HOST:PORT, vmc://HOST:PORT,
+            ws://HOST:PORT. May be given several times.
     """
 
     sources: tyro.conf.Positional[tuple[str, ...]]

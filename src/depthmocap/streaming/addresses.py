@@ -16,6 +16,7 @@ LOCAL_HOST = "127.0.0.1"
 _STREAMS: dict[str, tuple[str, str, int]] = {
     "osc": ("depthmocap.streaming.osc_stream", "OscStream", 9000),
     "vmc": ("depthmocap.streaming.vmc_stream", "VmcStream", 39539),
+    "ws": ("depthmocap.streaming.websocket_stream", "WebSocketStream", 8770),
 }
 
 
