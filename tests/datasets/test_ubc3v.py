@@ -1,101 +1,33 @@
-"""UBC3V: codecs, reading what the writer wrote, and every way a section can be broken."""
+"""UBC3V: reading what the writer wrote, resuming, and finding sections."""
 
 import dataclasses
 import errno
 import io
 import itertools
-import struct
 
 import numpy as np
 import pytest
 from file_contents import tree
 from PIL import Image
-from scipy.io import loadmat, savemat
+from scipy.io import loadmat
 from ubc3v_files import EYES, HALF_STEP_M, SHAPE, make_views, write_section
 
-from depthmocap.body.regions import UBC3V_COLOURS
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.datasets.ubc3v import (
     MAYA_JOINTS,
     UNLABELLED,
     Section,
-    decode_depth,
-    decode_labels,
-    encode_depth,
-    encode_labels,
     image_paths,
     iterate,
     kinect2_camera,
     sections,
 )
-from depthmocap.datasets.ubc3v_write import SectionWriter, write_images
+from depthmocap.datasets.ubc3v_write import SectionWriter
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry.transforms import look_at, transform_points
 
 pytest.importorskip("isal")
-
-# Codecs
-
-
-def test_depth_round_trip():
-    rng = np.random.default_rng(1)
-    depth = rng.uniform(0.6, 8.2, SHAPE)
-    mask = rng.random(SHAPE) < 0.5
-    back, back_mask = decode_depth(encode_depth(depth, mask))
-    assert back.dtype == np.float32
-    assert (back_mask == mask).all()
-    assert (back[~mask] == 0).all()
-    assert np.abs(back - depth)[mask].max() <= HALF_STEP_M
-    again = encode_depth(back, mask)
-    assert (again == encode_depth(depth, mask)).all()
-
-
-def test_depth_clips_and_drops_invalid():
-    depth = np.array([[0.2, 9.0, 0.0, np.nan, 1.0]])
-    back, mask = decode_depth(encode_depth(depth, np.array([[True, True, True, True, False]])))
-    assert mask.tolist() == [[True, True, False, False, False]]
-    np.testing.assert_allclose(back[0, :2], [0.515, 8.24], rtol=1e-6)
-    assert decode_depth(encode_depth(depth, mask, 1.0), 1.0)[0][0, 0] == np.float32(0.5)
-
-
-def test_depth_reads_red_and_full_alpha_only():
-    rgba = np.array([[[255, 253, 250, 255], [255, 255, 255, 254]]], np.uint8)
-    depth, mask = decode_depth(rgba)
-    assert mask.tolist() == [[True, False]]
-    np.testing.assert_allclose(depth, [[8.24, 0]], rtol=1e-6)
-
-
-def test_labels_round_trip():
-    labels = np.array([[*range(44), UNLABELLED]], np.uint8)
-    rgba = encode_labels(labels)
-    assert (rgba[..., 3] == np.where(labels > 0, 255, 0)).all()
-    assert (rgba[0, 41] == [0, 0, 0, 255]).all()
-    assert (decode_labels(rgba) == labels).all()
-
-
-def test_labels_within_two_of_their_colour():
-    offsets = np.stack(np.meshgrid(*[[-2, 0, 2]] * 3), -1).reshape(-1, 3)
-    colours = np.clip(UBC3V_COLOURS[1:, None].astype(int) + offsets, 0, 255).astype(np.uint8)
-    rgba = np.concatenate([colours, np.full((*colours.shape[:2], 1), 255, np.uint8)], -1)
-    assert (decode_labels(rgba) == np.arange(1, 44)[:, None]).all()
-
-
-def test_labels_beyond_two_are_unlabelled():
-    rgba = np.zeros((1, 3, 4), np.uint8)
-    rgba[0, :, :3] = [[255, 109, 0], [3, 0, 0], [255, 255, 255]]  # 1 and 41 missed by one; no region is white
-    rgba[0, :, 3] = 255
-    assert decode_labels(rgba).tolist() == [[UNLABELLED] * 3]
-    rgba[0, :, 3] = 254
-    assert decode_labels(rgba).tolist() == [[0] * 3]
-
-
-def test_labels_reject_unknown():
-    with pytest.raises(ValueError, match="0 to 43"):
-        encode_labels(np.full((2, 2), 44, np.uint8))
-
-
-# Writing and reading
 
 
 def test_section_round_trip(tmp_path):
@@ -263,22 +195,6 @@ def test_a_full_disk_leaves_the_last_truth(tmp_path, monkeypatch):
     assert len(Section(path)) == 2
 
 
-def test_images_are_those_of_the_codecs(tmp_path):
-    rng = np.random.default_rng(5)
-    for top, bottom in ((0, 424), (0, 200), (100, 424), (200, 201), (0, 0)):
-        mask = np.zeros(SHAPE, bool)
-        mask[top:bottom, 100:300] = rng.random((bottom - top, 200)) < 0.8
-        depth = np.where(rng.random(SHAPE) < 0.9, rng.uniform(0.2, 9.0, SHAPE), 0).astype(np.float32)
-        labels = rng.choice([*range(1, 44), UNLABELLED], SHAPE).astype(np.uint8)
-        camera = kinect2_camera("Cam1", look_at(np.array(EYES[0]), np.zeros(3)))
-        write_images(tmp_path, 0, [View(camera, depth, mask, labels)])
-        depth_path, labels_path = image_paths(tmp_path, "Cam1", 0)
-        expected = encode_depth(depth, mask), encode_labels(np.where(mask, labels, np.uint8(0)))
-        for path, rgba in zip((depth_path, labels_path), expected, strict=True):
-            with Image.open(path) as image:
-                assert (np.array(image) == rgba).all()
-
-
 def test_writer_keeps_what_was_done_when_interrupted(tmp_path):
     rng = np.random.default_rng(0)
     with pytest.raises(KeyboardInterrupt), SectionWriter(tmp_path, "easy-pose", "train", 1) as writer:
@@ -340,114 +256,3 @@ def test_sections_say_what_is_missing(tmp_path):
         sections(tmp_path, "hard-pose", "valid")
     with pytest.raises(InputError, match="no numbered sections"):
         sections(tmp_path, "hard-pose", "train")
-
-
-# Broken sections
-
-
-def assert_left_out(path, file, message):
-    section = Section(path)
-    views = section[0].views
-    assert "Cam1" not in [view.camera.name for view in views]
-    (problem,) = section.problems
-    assert str(file) in problem
-    assert message in problem
-
-
-def test_broken_images(tmp_path):
-    path, _ = write_section(tmp_path, count=1)
-    depth, labels = image_paths(path, "Cam1", 0)
-    whole = depth.read_bytes()
-    bomb = whole[:16] + struct.pack(">II", 30_000, 30_000) + whole[24:]
-    cut = whole[:33] + whole[37:]  # within a chunk's length
-    for damage, message in [
-        (whole[: len(whole) // 2], "not a complete PNG"), (b"", "not a readable picture"),
-        (b"not a PNG", "not a readable picture"), (bomb, "at most 64 million"), (cut, "not a complete PNG"),
-    ]:  # fmt: skip
-        depth.write_bytes(damage)
-        assert_left_out(path, depth, message)
-    Image.new("RGBA", (64, 64)).save(depth)
-    assert_left_out(path, depth, "got RGBA 64×64")
-    Image.new("RGB", (512, 424)).save(depth)
-    assert_left_out(path, depth, "got RGB 512×424")
-    depth.write_bytes(whole)
-    labels.write_bytes(labels.read_bytes()[:300])
-    assert_left_out(path, labels, "not a complete PNG")
-
-
-def test_a_damaged_image_costs_its_own_view_alone(tmp_path, caplog):
-    for number in (1, 2):
-        path, _ = write_section(tmp_path, section=number)
-    depth, _ = image_paths(path, "Cam1", 1)
-    depth.write_bytes(depth.read_bytes()[:200])
-    problems: list[str] = []
-    frames = list(iterate(tmp_path, "easy-pose", "train", problems=problems))
-    assert len(frames) == 6
-    seen = [len(frame.views) for frame in frames]
-    assert seen == [seen[0]] * 4 + [seen[0] - 1, seen[0]]
-    assert len(problems) == 1
-    assert str(depth) in problems[0]
-    assert str(depth) in caplog.text
-
-
-def test_broken_groundtruth(tmp_path):
-    path, _ = write_section(tmp_path, count=2)
-    truth = path / "groundtruth.mat"
-    whole = truth.read_bytes()
-    truth.unlink()
-    with pytest.raises(InputError, match="not found"):
-        Section(path)
-    for damage in (whole[: len(whole) // 2], b"", b"text " * 100):
-        truth.write_bytes(damage)
-        with pytest.raises(InputError, match=r"groundtruth\.mat"):
-            Section(path)
-
-    pose = {"translate": np.zeros(3), "rotate": np.zeros(3)}
-    joint = {maya: np.eye(4).ravel() for maya in MAYA_JOINTS.values()}
-    camera = {"frames": cells(pose)}
-    for document, message in [
-        ({"joints": cells(joint)}, "no variable cameras"),
-        ({"cameras": {"Cam1": camera}}, "no variable joints"),
-        ({"cameras": {"Cam1": camera}, "joints": cells({"HeadPGX": np.zeros(16)})}, "has no field Neck1PGX"),
-        ({"cameras": {"Cam1": camera}, "joints": cells(joint | {"HeadPGX": np.zeros(3)})}, "must hold 16 numbers"),
-        ({"cameras": {"Cam1": camera}, "joints": cells(joint | {"HeadPGX": "text"})}, "not numeric"),
-        ({"cameras": {"Cam1": camera}, "joints": cells(joint, joint)}, "2 joints but 1 frames"),
-        ({"cameras": {"Cam1": {"other": 1}}, "joints": cells(joint)}, "no field frames"),
-        ({"cameras": {"Cam1": {"frames": cells({"rotate": 1})}}, "joints": cells(joint)}, "no field translate"),
-        ({"cameras": {"Cam9": camera}, "joints": cells(joint)}, "has no camera Cam1.*it has Cam9"),
-        ({"cameras": 3, "joints": cells(joint)}, "it has none"),
-    ]:
-        savemat(truth, document)
-        with pytest.raises(InputError, match=message) as caught:
-            Section(path)
-        assert str(truth) in str(caught.value)
-
-
-def cells(*items):
-    array = np.empty((1, len(items)), dtype=object)
-    array[0] = items
-    return array
-
-
-def test_no_images(tmp_path):
-    path, _ = write_section(tmp_path, count=1)
-    (path / "images" / "depthRender").rename(path / "images" / "elsewhere")
-    with pytest.raises(InputError, match="unpack the depth images"):
-        Section(path)
-
-
-def test_matrices_and_integers_as_matlab_may_store_them(tmp_path):
-    """A 4×4 joint matrix with the position in its last column, and a whole-numbered pose kept as integers."""
-    path, _ = write_section(tmp_path, count=1)
-    matrix = np.eye(4)
-    matrix[:3, 3] = 100, 200, 300
-    pose = {"translate": np.array([100, 200, 300], np.int16), "rotate": np.zeros(3, np.uint8)}
-    document = {
-        "cameras": {"Cam1": {"frames": cells(pose)}},
-        "joints": cells(dict.fromkeys(MAYA_JOINTS.values(), matrix)),
-    }
-    savemat(path / "groundtruth.mat", document)
-    (frame,) = Section(path)
-    assert frame.true_joints is not None
-    np.testing.assert_allclose(frame.true_joints, np.tile([1.0, -3.0, 2.0], (18, 1)))
-    np.testing.assert_allclose(frame.views[0].camera.world_from_camera[:3, 3], [1.0, -3.0, 2.0])

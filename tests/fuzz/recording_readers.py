@@ -41,7 +41,7 @@ def _read_recording(folder: Path) -> None:
 
 def _mcap(coding: Any, compression: str) -> Callable[[Path], None]:
     def make(folder: Path) -> None:
-        from mutations import repacked
+        from mcap_mutations import repacked
 
         from depthmocap.recordings.mcap_writer import McapWriter
 
