@@ -39,6 +39,8 @@ _ON_BED = 0.6
 _AT_TABLE = 0.5
 #: Share of people in bed who are under a blanket.
 _UNDER_BLANKET = 0.4
+#: Share of people half of whom is behind the end of a wall, as in a doorway.
+_IN_DOORWAY = 0.1
 #: Cloth shows the person beneath if it lies no farther from the body than this (metres).
 _COVER_M = 0.15
 #: Share of seated people who sit in a wheelchair.
@@ -203,6 +205,11 @@ def populated_scene(
                 supports.append(_wheels(rng, person))
             elif rng.random() < _AT_TABLE:
                 supports.append(_table_before(rng, person, place))
+    for person in people:
+        if rng.random() < _IN_DOORWAY:
+            wall = _wall_end(rng, person)
+            if not any(wall.hold_any(other.vertices[::9].astype(float)) for other in people if other is not person):
+                supports.append(wall)
     objects = []
     for person in people:
         if rng.random() < 0.2:
@@ -324,6 +331,14 @@ def _table_before(rng: np.random.Generator, person: PosedPerson, place: Place) -
         if place.accept(moved):
             return moved
     return NONE
+
+
+def _wall_end(rng: np.random.Generator, person: PosedPerson) -> Solids:
+    """A wall that ends at a person and hides one half of them from many sides."""
+    length, thickness, height = rng.uniform(1.0, 3.0), rng.uniform(0.05, 0.25), rng.uniform(1.9, 2.6)
+    turn = yaw(rng.uniform(-np.pi, np.pi))
+    x, y, _ = trunk_centre(person.joints) + turn @ np.array([length / 2 + rng.normal(0, 0.15), rng.normal(0, 0.15), 0])
+    return box((x, y, height / 2), (length / 2, thickness / 2, height / 2), turn)
 
 
 def _standing(
