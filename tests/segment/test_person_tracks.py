@@ -1,5 +1,7 @@
 """Tracks of people from votes alone: clouds of points that vote for centres, in virtual time."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from depthmocap.segment.person_tracks import PersonTracker, Votes, measure_statu
 RATE = 15
 
 
-def person(rng, x, y, lying=False, spread=0.1, certainty=0.95, area=0.5, stature=1.7):
+def person(rng, x, y, lying=False, spread=0.1, certainty=0.95, area=0.5, stature=1.7, before=False):
     """Points of a body about a place on the floor, and their votes for its centre."""
     count = 300
     heights = rng.uniform(0, stature, count)
@@ -22,18 +24,16 @@ def person(rng, x, y, lying=False, spread=0.1, certainty=0.95, area=0.5, stature
     votes = centre + rng.normal(0, spread, (count, 3))
     return Votes(
         votes.astype(np.float32), points.astype(np.float32), np.full(count, area / count, np.float32),
-        np.full(count, certainty, np.float32),
+        np.full(count, certainty, np.float32), np.full(count, before, np.bool_),
     )  # fmt: skip
 
 
 def joined(*votes):
-    parts = ([getattr(each, name) for each in votes] for name in ("places", "points", "areas_m2", "certainties"))
-    return Votes(*(np.concatenate(part) if part else np.zeros(0, np.float32) for part in parts))
+    names = [field.name for field in dataclasses.fields(Votes)]
+    return Votes(*(np.concatenate([getattr(each, name) for each in votes]) for name in names))
 
 
-NOBODY = Votes(
-    np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32), np.zeros(0, np.float32)
-)
+NOBODY = Votes(*(np.zeros(shape, np.float32) for shape in ((0, 3), (0, 3), 0, 0)), np.zeros(0, np.bool_))
 
 
 def numbers(tracker):
@@ -86,6 +86,23 @@ def test_what_the_network_is_not_certain_of_gets_no_number(rng):
     assert numbers(tracker) == []
 
 
+@pytest.mark.parametrize(("certainty", "speed_mps", "known"), [(0.4, 0, 1), (0.3, 0, 0), (0.3, 1, 1), (0.1, 1, 0)])
+def test_where_the_scene_was_seen_empty_less_certainty_will_do(rng, certainty, speed_mps, known):
+    tracker = PersonTracker()
+    for i in range(RATE):
+        tracker.update(person(rng, speed_mps * i / RATE, 0.0, certainty=certainty, before=True), i / RATE)
+    assert len(numbers(tracker)) == known
+
+
+def test_two_tracks_of_one_person_become_one(rng):
+    tracker = PersonTracker()
+    for i in range(RATE * 3):
+        gap = 0.6 if i < RATE else 0.15  # an outstretched limb that votes for itself at first
+        tracker.update(joined(person(rng, 0.0, 0.0), person(rng, gap, 0.0, area=0.3)), i / RATE)
+        assert len(numbers(tracker)) <= 2
+    assert numbers(tracker) == [1]
+
+
 def test_who_is_hidden_for_seconds_is_known_by_the_place(rng):
     tracker = PersonTracker()
     for i in range(RATE * 6):
@@ -96,16 +113,27 @@ def test_who_is_hidden_for_seconds_is_known_by_the_place(rng):
 
 
 def test_who_returns_is_known_by_stature_and_others_are_not(rng):
-    tracker, seen, now, up = PersonTracker(), [], 0.0, np.array([0.0, 0.0, 1.0])
+    tracker, seen, now = PersonTracker(), [], 0.0
     for stature in (1.8, None, 1.6, None, 1.8):
         for _ in range(RATE * 5):
             now += 1 / RATE
             votes = NOBODY if stature is None else person(rng, 0.0, 0.0, stature=stature, area=0.8)
             labels = tracker.update(votes, now)
-            measure_statures(tracker.active, votes, labels, up, now)
+            measure_statures(tracker.active, votes, labels, np.eye(4), lambda _: True, lambda _, place: place, now)
         if stature:
             seen += numbers(tracker)
     assert seen == [1, 2, 1]
+
+
+def test_nobody_is_measured_whose_head_may_be_cut_off(rng):
+    tracker = PersonTracker()
+    for i in range(RATE):
+        votes = person(rng, 0.0, 0.0)
+        labels = tracker.update(votes, i / RATE)
+        measure_statures(
+            tracker.active, votes, labels, np.eye(4), lambda place: place[2] < 1.7, lambda _, place: place, i / RATE
+        )
+    assert np.isnan(tracker.active[0].stature_m)
 
 
 def test_memory_is_bounded_when_people_come_and_go_for_long(rng):

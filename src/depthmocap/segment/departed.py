@@ -15,12 +15,14 @@ AWAY_S = 60.0
 SAME_HEIGHT_M = 0.03
 #: and every other person who has left differs by this much more (metres).
 CLEARLY_M = 0.03
+#: A stature measured for a moment is known to this (metres): people bob as they walk.
+MAYBE_HEIGHT_M = 0.08
 #: A person who was hidden for no longer than this (seconds) is recognised by the place, too:
 HIDDEN_S = 4.0
 #: within this distance of where they were last seen (metres), and this much more for each second (m/s),
 HIDDEN_M, HIDDEN_MPS = 0.5, 0.8
 #: unless both statures are known and differ by more than this (metres).
-OTHER_HEIGHT_M = 0.08
+OTHER_HEIGHT_M = 0.05
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -51,6 +53,19 @@ def match_stature(departed: Sequence[Departed], stature_m: float) -> Departed | 
     if np.isnan(best.stature_m) or differences_m[order[0]] > SAME_HEIGHT_M or not clearly:
         return None
     return best
+
+
+def may_match(departed: Sequence[Departed], stature_m: float) -> bool:
+    """Whether somebody of this stature (metres, so far) may turn out to be one of them, measured longer.
+
+    They may not where two who have left are alike, and either would do.
+    """
+    if np.isnan(stature_m):
+        return bool(departed)
+    near = [away for away in departed if abs(away.stature_m - stature_m) <= MAYBE_HEIGHT_M]
+    near.sort(key=lambda away: abs(away.stature_m - stature_m))
+    alike = len(near) > 1 and abs(near[0].stature_m - near[1].stature_m) < 2 * CLEARLY_M
+    return bool(near) and not alike
 
 
 def match_place(

@@ -10,10 +10,11 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from depthmocap.frames import FrameSet, FrameSource, View
-from depthmocap.geometry import z_up_from
+from depthmocap.geometry import transform_points, z_up_from
 from depthmocap.kernels.people_votes import paint_people
 from depthmocap.segment.background import FAR_M, BackgroundModel
 from depthmocap.segment.depth_grid import DepthGrid
+from depthmocap.segment.floor import find_floor
 from depthmocap.segment.people_detector import SURE_LOGIT, DetectedPeople, PeopleDetector, grid_of, person_mask
 from depthmocap.segment.people_segmenter import PersonMasks, select_people
 from depthmocap.segment.person_tracks import PersonTrack, PersonTracker, Votes, measure_statures
@@ -22,6 +23,8 @@ from depthmocap.segment.person_tracks import PersonTrack, PersonTracker, Votes, 
 STEP_M = 0.1
 #: So many points of somebody are looked up in all views.
 _POINTS = 80
+#: The top of a head is looked for this near to the highest sample (metres).
+_HEAD_M = 0.08
 #: A view sees somebody if it sees this share of the points.
 _LEAST_SEEN = 0.15
 
@@ -55,7 +58,8 @@ class NetworkSegmenter:
         """
         self.people, self.problems = people, []
         self._detector = detector or PeopleDetector()
-        self._up = z_up_from(up)[2]
+        self._up_axis, self._up = up, z_up_from(up)[2]
+        self._floor_from_world: Float[ndarray, "4 4"] | None = None
         self._known = set(backgrounds_m)
         self._backgrounds: dict[str, BackgroundModel] | None = (
             {name: BackgroundModel((m.shape[0], m.shape[1]), m) for name, m in backgrounds_m.items()}
@@ -97,11 +101,18 @@ class NetworkSegmenter:
             np.concatenate([view.points for view in detected]),
             np.concatenate([view.areas_m2 for view in detected]),
             np.concatenate([_certainties(view) for view in detected]),
+            np.concatenate([view.before for view in detected]),
         )
         labels = self._tracker.update(votes, now_s, lambda points: probability_in_views(points, detected))
-        measure_statures(self._tracker.active, votes, labels, self._up, now_s)
         of_views = np.split(labels, np.cumsum([len(view.indices) for view in detected])[:-1])
         images = list(self._pool.map(_paint, depths, detected, of_views, limits))
+        floor_from_world = self._floor(views)
+        measure_statures(
+            self._tracker.active, votes, labels, floor_from_world,
+            lambda place: is_open(place, detected),
+            lambda label, place: highest_near(place, floor_from_world[2, :3], views, [im == label for im in images]),
+            now_s,
+        )  # fmt: skip
         self._learn(frames, depths, detected)
         return tuple(
             PersonMasks(track.number, tuple(image == track.label for image in images)) for track in self._select()
@@ -112,6 +123,12 @@ class NetworkSegmenter:
         if name not in self._grids or self._grids[name].camera is not view.camera:
             self._grids[name] = grid_of(view.camera, self._up)
         return self._grids[name]
+
+    def _floor(self, views: Sequence[View]) -> Float[ndarray, "4 4"]:
+        """The floor, found once in the first frame set: people and furniture matter little."""
+        if self._floor_from_world is None:
+            self._floor_from_world = find_floor(views, self._up_axis)
+        return self._floor_from_world
 
     def _limit(self, view: View) -> Float[ndarray, "h w"] | None:
         """The depth from which on a pixel shows the empty scene, ``FAR_M`` or more where it is unknown."""
@@ -162,6 +179,41 @@ def probability_in_views(points: Float[ndarray, "n 3"], detected: Sequence[Detec
         if np.count_nonzero(seen) >= _LEAST_SEEN * len(points):
             of_views.append(float(np.mean(1 / (1 + np.exp(-view.logits[rows[seen], columns[seen]])))))
     return float(np.mean(of_views)) if of_views else 0.0
+
+
+def is_open(place: Float[ndarray, "3"], detected: Sequence[DetectedPeople]) -> bool:
+    """Whether a view shows that nothing is at a place (metres, in the world) or before it."""
+    for view in detected:
+        u, v, z = view.grid.camera.project(place[None]).T
+        rows, columns = view.grid.samples_at(np.nan_to_num(np.stack([u, v], 1), nan=-1.0))
+        if rows[0] >= 0 and view.samples_m[rows[0], columns[0]] > z[0] + STEP_M:
+            return True
+    return False
+
+
+def highest_near(
+    place: Float[ndarray, "3"], up: Float[ndarray, "3"], views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]
+) -> Float[ndarray, "3"]:
+    """The highest point in the masks within ``_HEAD_M`` of a place (metres, in the world), or the place itself."""
+    best = place
+    for view, mask in zip(views, masks, strict=True):
+        camera = view.camera
+        u, v, z = camera.project(place[None])[0]
+        if not z > 0 or not np.isfinite(u + v):
+            continue
+        reach = int(np.ceil(_HEAD_M * camera.fx / z))
+        rows = np.s_[max(int(v) - reach, 0) : max(int(v) + reach + 1, 0)]
+        columns = np.s_[max(int(u) - reach, 0) : max(int(u) + reach + 1, 0)]
+        near = mask[rows, columns] & (np.abs(view.depth_m[rows, columns] - z) < STEP_M)
+        if np.count_nonzero(near) < 3:
+            continue
+        depth_m, rays = view.depth_m[rows, columns][near], camera.rays[rows, columns][near]
+        points = transform_points(camera.world_from_camera, np.column_stack([rays * depth_m[:, None], depth_m]))
+        heights = points @ up
+        top = points[np.argpartition(heights, -3)[-3]]  # single pixels at a rim err
+        if top @ up > best @ up:
+            best = top
+    return best
 
 
 def _certainties(detected: DetectedPeople) -> Float[ndarray, " n"]:

@@ -40,6 +40,7 @@ class DetectedPeople:
         points: where they are in the world (metres).
         votes: for the centre of their person (metres).
         areas_m2: their surface.
+        before: whether they are where the scene was seen empty.
     """
 
     grid: DepthGrid
@@ -49,6 +50,7 @@ class DetectedPeople:
     points: Float[ndarray, "n 3"]
     votes: Float[ndarray, "n 3"]
     areas_m2: Float[ndarray, " n"]
+    before: Bool[ndarray, " n"]
 
 
 class PeopleDetector:
@@ -96,7 +98,14 @@ class PeopleDetector:
             samples_m, logits, offsets, grid.rays, grid.camera.world_from_camera, least, FARTHEST_M, SAMPLE_M2,
             indices, points, votes, areas,
         )  # fmt: skip
-        return DetectedPeople(grid, samples_m, logits, indices[:count], points[:count], votes[:count], areas[:count])
+        indices = indices[:count]
+        before = np.zeros(count, np.bool_)
+        if limit_m is not None:
+            limits = limit_m.ravel()[indices]
+            before = (limits < FAR_M) & (samples_m.ravel()[indices] < limits)
+        return DetectedPeople(
+            grid, samples_m, logits, indices, points[:count], votes[:count], areas[:count], before
+        )  # fmt: skip
 
 
 def person_mask(detected: DetectedPeople) -> Bool[ndarray, "rows2 columns2"]:

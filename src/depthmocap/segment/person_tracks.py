@@ -6,11 +6,11 @@ import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from depthmocap.kernels.people_votes import assign_votes, densest_vote
-from depthmocap.segment.departed import AWAY_S, Departed, match_place, match_stature
+from depthmocap.segment.departed import AWAY_S, Departed, match_place, match_stature, may_match
 
 #: Votes within this distance of a centre are for it (metres): a centre is known to some 10 cm, from limbs to 30 cm.
 REACH_M = 0.55
@@ -42,12 +42,18 @@ CERTAIN_S = 0.1
 CERTAINTY = 0.6
 #: The time over which certainty is averaged (seconds).
 CERTAINTY_S = 0.2
-#: Of what has moved so far (metres) less certainty will do, because furniture stays where it is.
+#: Of what has moved so far (metres) less certainty will do, because furniture stays where it is,
 MOVED_M, MOVED_CERTAINTY = 0.25, 0.4
+#: and of what is mostly (this share of its surface) where the scene was seen empty,
+BEFORE, BEFORE_CERTAINTY = 0.7, 0.35
+#: and less still of what is both.
+MOVED_BEFORE_CERTAINTY = 0.18
 #: A track unseen for this time ends (seconds); one that is no person yet ends sooner.
 GONE_S, UNBORN_S = 1.0, 0.3
 #: Two tracks nearer to each other than this (metres) are one person, if the younger is no older than this (seconds)
 SAME_M, SAME_S = 0.3, 1.0
+#: or if they were never farther apart for this time (seconds): two people who embrace are farther apart.
+DOUBLE_S = 0.5
 #: Share of the residual by which an update corrects position and velocity.
 POSITION_GAIN, VELOCITY_GAIN = 0.6, 0.2
 #: Motion is predicted for no longer than this (seconds): an unseen person may have stopped.
@@ -58,8 +64,15 @@ FASTEST_MPS = 4.0
 MEASURE_S = 0.06
 #: and kept, up to so many; from so many on they tell.
 STATURES_KEPT, STATURES_NEEDED = 60, 6
+#: Only who is so high (metres), shows so many samples, and has the middle of the trunk at these shares of the height
+#: stands upright;
+LEAST_STATURE_M, LEAST_POINTS, MIDDLE = 1.0, 60, (0.5, 0.75)
+#: so far above the head (metres) nothing may be: it would cut the head off.
+CLEARANCE_M = 0.1
 #: While others are away, a new track waits for its stature before it gets a number, but no longer than this (seconds).
-RECOGNISE_S = 1.2
+RECOGNISE_S = 1.9
+#: So long it waits for its stature where somebody was hidden nearby whose stature is known.
+PLACE_S = 0.7
 
 
 @dataclasses.dataclass(eq=False)
@@ -73,7 +86,10 @@ class PersonTrack:
         area_m2: visible surface now, 0 when hidden.
         certainty: average probability of the samples, over the last ``CERTAINTY_S``.
         probability: the same of all views that see the person, also of those that take them for something else.
+        before: average share of the surface that is where the scene was seen empty.
         start_m: where the track began.
+        apart_s: when no older track was nearer than ``SAME_M`` last.
+        born_alone: whether nobody was near where it began: it is nobody's part.
         sets, missed_sets: in how many sets it was seen, and in how many it has been hidden since.
         statures_m: measured while the person was upright and in full view.
     """
@@ -86,8 +102,11 @@ class PersonTrack:
     area_m2: float = 0.0
     certainty: float = 0.0
     probability: float = 0.0
+    before: float = 0.0
     sets: int = 0
     missed_sets: int = 0
+    apart_s: float = np.nan
+    born_alone: bool = True
     start_m: Float[ndarray, "3"] = dataclasses.field(default_factory=lambda: np.zeros(3))
     velocity_mps: Float[ndarray, "3"] = dataclasses.field(default_factory=lambda: np.zeros(3))
     predicted_m: Float[ndarray, "3"] = dataclasses.field(default_factory=lambda: np.zeros(3))
@@ -98,7 +117,9 @@ class PersonTrack:
         """Predict the centre at constant velocity."""
         self.predicted_m = self.centre_m + self.velocity_mps * min(now_s - self.last_seen_s, PREDICT_S)
 
-    def update(self, centre_m: Float[ndarray, "3"], area_m2: float, certainty: float, now_s: float) -> None:
+    def update(
+        self, centre_m: Float[ndarray, "3"], area_m2: float, certainty: float, before: float, now_s: float
+    ) -> None:
         """Correct the prediction by a measurement."""
         passed_s = max(now_s - self.last_seen_s, 1e-3)
         residual = centre_m - self.predicted_m
@@ -108,6 +129,7 @@ class PersonTrack:
         self.velocity_mps = velocity * min(1.0, FASTEST_MPS / max(float(np.linalg.norm(velocity)), 1e-9))
         share = 1.0 if not self.sets else min(1.0, passed_s / CERTAINTY_S)
         self.certainty += share * (certainty - self.certainty)
+        self.before += share * (before - self.before)
         self.area_m2, self.last_seen_s = area_m2, now_s
         self.sets, self.missed_sets = self.sets + 1, 0
 
@@ -138,12 +160,14 @@ class Votes:
         points: where each is (metres).
         areas_m2: its surface.
         certainties: the network's probability that it shows a person.
+        before: whether it is where the scene was seen empty.
     """
 
     places: Float[ndarray, "n 3"]
     points: Float[ndarray, "n 3"]
     areas_m2: Float[ndarray, " n"]
     certainties: Float[ndarray, " n"]
+    before: Bool[ndarray, " n"]
 
 
 class PersonTracker:
@@ -178,14 +202,17 @@ class PersonTracker:
                     last_seen_s=now_s,
                     predicted_m=centre.astype(float),
                     start_m=centre.astype(float),
+                    apart_s=now_s - 1e-6,
+                    born_alone=all(np.linalg.norm(centre - other.centre_m) > PART_M for other in self.active),
                 )
             )
         certainties = _certainties(votes, owners, len(centres))
+        before = _shares(votes.before, votes.areas_m2, owners, len(centres))
         for k, track in enumerate(self.active):
             track.area_m2, track.missed_sets = 0.0, track.missed_sets + 1
             if sums[k, 0] > SEEN_M2:
                 area = float(sums[k, 0])
-                track.update(sums[k, 1:] / sums[k, 0], area, float(certainties[k]), now_s)
+                track.update(sums[k, 1:] / sums[k, 0], area, float(certainties[k]), float(before[k]), now_s)
         labels = np.array([0, *(track.label for track in self.active)])[
             np.where(owners < len(self.active), owners, -1) + 1
         ]
@@ -202,12 +229,12 @@ class PersonTracker:
         kept: list[PersonTrack] = []
         for track in sorted(self.active, key=lambda track: (track.number == 0, track.start_s)):
             unseen_s = now_s - track.last_seen_s
-            same = now_s - track.start_s < SAME_S and any(
-                np.linalg.norm(track.centre_m - other.centre_m) < SAME_M for other in kept
-            )
+            if all(np.linalg.norm(track.centre_m - other.centre_m) >= SAME_M for other in kept):
+                track.apart_s = now_s
+            same = track.apart_s < now_s and (now_s - track.start_s < SAME_S or now_s - track.apart_s > DOUBLE_S)
             gone = unseen_s > GONE_S if track.number else unseen_s > UNBORN_S and track.missed_sets > 1
             if gone or same:
-                if track.number:
+                if track.number and (track.born_alone or not same):
                     stature = track.stature_m
                     least = max(track.statures_m, default=0.0)
                     self._departed.append(Departed(track.number, stature, least, track.centre_m, track.last_seen_s))
@@ -220,13 +247,19 @@ class PersonTracker:
         """Give a track a number once it is certain to be a person."""
         age_s = now_s - track.start_s
         moved = float(np.linalg.norm(track.centre_m - track.start_m)) > MOVED_M and age_s > CERTAINTY_S
-        if track.sets < SETS_NEEDED or age_s < CERTAIN_S or track.certainty < (MOVED_CERTAINTY if moved else CERTAINTY):
+        if track.before > BEFORE:
+            needed = MOVED_BEFORE_CERTAINTY if moved else BEFORE_CERTAINTY
+        else:
+            needed = MOVED_CERTAINTY if moved else CERTAINTY
+        if track.sets < SETS_NEEDED or age_s < CERTAIN_S or track.certainty < needed:
             return
         match = match_place(self._departed, track.centre_m, track.stature_m, now_s)
+        if match is not None and np.isnan(track.stature_m) and match.stature_m > 0 and age_s < PLACE_S:
+            return  # somebody else may come in where another has just left
         if match is None:
-            if self._departed and np.isnan(track.stature_m) and age_s < RECOGNISE_S:
-                return
             match = match_stature(self._departed, track.stature_m)
+            if match is None and age_s < RECOGNISE_S and may_match(self._departed, track.stature_m):
+                return
         if match is None:
             self._last_number += 1
             track.number = self._last_number
@@ -242,6 +275,15 @@ def _certainties(votes: Votes, owners: Int[ndarray, " n"], count: int) -> Float[
     weights = (votes.areas_m2 * votes.certainties)[owned]
     sums = np.bincount(owners[owned], weights, count)
     return np.bincount(owners[owned], weights * votes.certainties[owned], count) / np.maximum(sums, 1e-9)
+
+
+def _shares(
+    chosen: Bool[ndarray, " n"], areas_m2: Float[ndarray, " n"], owners: Int[ndarray, " n"], count: int
+) -> Float[ndarray, " k"]:
+    """The share of each owner's surface that is chosen."""
+    owned = owners >= 0
+    sums = np.bincount(owners[owned], areas_m2[owned], count)
+    return np.bincount(owners[owned], (areas_m2 * chosen)[owned], count) / np.maximum(sums, 1e-9)
 
 
 def _cluster(
@@ -301,18 +343,33 @@ def _one_heap(votes: Votes, one: Float[ndarray, "3"], other: Float[ndarray, "3"]
 
 
 def measure_statures(
-    tracks: Sequence[PersonTrack], votes: Votes, labels: Int[ndarray, " n"], up: ndarray, now_s: float
+    tracks: Sequence[PersonTrack],
+    votes: Votes,
+    labels: Int[ndarray, " n"],
+    floor_from_world: Float[ndarray, "4 4"],
+    is_open: Callable[[Float[ndarray, "3"]], bool],
+    highest: Callable[[int, Float[ndarray, "3"]], Float[ndarray, "3"]],
+    now_s: float,
 ) -> None:
-    """Measure everybody who stands upright in full view: from the lowest to the highest point along ``up``."""
-    heights = votes.points @ up
+    """Measure everybody who stands upright: from the floor to the highest point, if nothing cuts the head off.
+
+    Args:
+        is_open: whether a place (metres) is in view and nothing is there or before it.
+        highest: the highest point (metres) of a label about the highest sample: samples are some centimetres apart.
+    """
+    up, floor_m = floor_from_world[2, :3], -floor_from_world[2, 3]
     for track in tracks:
         if now_s - track.measured_s < MEASURE_S or not track.area_m2:
             continue
-        own = heights[labels == track.label]
-        if len(own) < 100:
+        own = np.flatnonzero(labels == track.label)
+        if len(own) < LEAST_POINTS:
             continue
-        low, high = np.partition(own, [2, len(own) - 3])[[2, len(own) - 3]]
-        middle = float(track.centre_m @ up)
-        # Of somebody upright and whole the trunk's middle is a little over half of the height.
-        if high - low > 1.1 and 0.5 < (middle - low) / (high - low) < 0.75 and track.area_m2 > 0.3:
-            track.add_stature(float(high - low), now_s)
+        heights = votes.points[own] @ up - floor_m
+        sample = np.argpartition(heights, -3)[-3]
+        top_m = float(heights[sample])
+        middle_m = float(track.centre_m @ up) - floor_m
+        upright = top_m > LEAST_STATURE_M and MIDDLE[0] < middle_m / top_m < MIDDLE[1]
+        if upright:
+            top = highest(track.label, votes.points[own[sample]])
+            if is_open(top + CLEARANCE_M * up):
+                track.add_stature(float(top @ up) - floor_m, now_s)
