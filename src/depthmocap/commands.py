@@ -96,6 +96,15 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "play a recording for Foxglove",
         ),
     ),
+    "Export": (
+        Command(
+            "export",
+            "depthmocap.exporting.export_command",
+            "ExportSettings",
+            "export",
+            "files for other tools, of a take that was made",
+        ),
+    ),
     "Recordings": (
         Command(
             "info",

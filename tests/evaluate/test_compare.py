@@ -13,6 +13,7 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.cli import main
 from depthmocap.evaluate.compare import Comparison, compare
 from depthmocap.evaluate.evaluation_report import Outputs, write_outputs
+from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.exporting.summary import Take, make_summary, write_summary
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
 
@@ -86,12 +87,12 @@ def test_summaries_of_takes(tmp_path):
     errors = {key: value for key, value in numbers(0.04).items() if key != "frames"}
     for name, more in (("a", {}), ("b", {"mean_joint_error_cm": 3.0})):
         known = {"frames": 4, "error": errors | more, "ms_per_frame": {"p50": 8.0, "p95": 9.0}}
-        write_summary(tmp_path / name, make_summary(Take("run", ["walks/one"], "z", 0.2), known))
+        write_summary(tmp_path / name, make_summary(Take("run", ["walks/one"], "z", FileSettings()), known))
     a, b = (tmp_path / name / "summary.json" for name in "ab")
     values = compare(Comparison(a, b), QUIET)["one"]
     assert values["mean joint error (cm)"] == pytest.approx((4, 3))
     assert values["median time of a frame (ms)"] == (8, 8)
-    write_summary(tmp_path / "b", make_summary(Take("run", ["walks/one"], "z", 0.2), {"frames": 4}))
+    write_summary(tmp_path / "b", make_summary(Take("run", ["walks/one"], "z", FileSettings()), {"frames": 4}))
     with pytest.raises(InputError, match=r"the true joints of walks.one are not known"):
         compare(Comparison(a, b), QUIET)
     b.write_text(json.dumps(json.loads(a.read_text()) | {"schema": 99}))

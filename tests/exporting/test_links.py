@@ -9,11 +9,12 @@ import pytest
 from depthmocap.core.output import open_new, write_file
 from depthmocap.errors import InputError
 from depthmocap.exporting import read_csv
+from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.exporting.result_files import PeopleFiles, PoseFiles
 from depthmocap.exporting.summary import Take
 from depthmocap.frames import Pose
 
-TAKE = Take("run", ["somewhere"], "z", 0.2)
+TAKE = Take("run", ["somewhere"], "z", FileSettings())
 NAMES = ("pose.csv", "pose.trc", "pose.bvh", "summary.json")
 
 

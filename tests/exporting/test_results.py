@@ -13,6 +13,7 @@ from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
 from depthmocap.exporting import read_bvh, read_csv, read_trc
 from depthmocap.exporting import result_files as files_module
+from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.exporting.result_files import PeopleFiles, PoseFiles
 from depthmocap.exporting.summary import SCHEMA, Summary, Take, read_summary, unsure_lines
 from depthmocap.frames import Pose
@@ -33,7 +34,7 @@ def poses(count: int, start: int = 0, seed: int = 0) -> list[Pose]:
 
 def write(folder: Path, least_confidence: float = 0.2) -> None:
     """A take in which a second person comes later."""
-    take = Take("run", ["somewhere"], "z", least_confidence)
+    take = Take("run", ["somewhere"], "z", FileSettings(least_confidence=least_confidence))
     first, second = poses(FRAMES), poses(FRAMES - COMES_AT, COMES_AT, seed=1)
     with PoseFiles(folder, take) as files, PeopleFiles(folder, take) as everybody:
         for i, pose in enumerate(first):
@@ -72,7 +73,7 @@ def test_however_many_people_come_and_return_few_files_are_open_and_no_pose_is_l
     monkeypatch.setattr(files_module, "MOST_OPEN", 2)
     monkeypatch.setattr(files_module, "MOST_FOLDERS", 4)
     files, some_poses, before = Path("/dev/fd"), poses(12), 0
-    with PeopleFiles(tmp_path, Take("run", ["somewhere"], "z", 0.2)) as everybody:
+    with PeopleFiles(tmp_path, Take("run", ["somewhere"], "z", FileSettings())) as everybody:
         if files.is_dir():
             before = len(list(files.iterdir()))
         for i, pose in enumerate(some_poses):
@@ -115,7 +116,7 @@ def test_least_confidence_0_keeps_everything(tmp_path: Path) -> None:
 
 
 def test_nothing_is_sure_enough(tmp_path: Path) -> None:
-    with PoseFiles(tmp_path, Take("run", ["somewhere"], "z", 0.95)) as files:
+    with PoseFiles(tmp_path, Take("run", ["somewhere"], "z", FileSettings(least_confidence=0.95))) as files:
         for pose in poses(FRAMES):
             files.write(pose)
     assert {path.name for path in tmp_path.iterdir()} == {"pose.csv", "summary.json"}
@@ -124,7 +125,7 @@ def test_nothing_is_sure_enough(tmp_path: Path) -> None:
 
 
 def test_hidden_hips_go_with_the_body(tmp_path: Path) -> None:
-    with PoseFiles(tmp_path, Take("run", ["somewhere"], "z", 0.2)) as files:
+    with PoseFiles(tmp_path, Take("run", ["somewhere"], "z", FileSettings())) as files:
         for pose in poses(FRAMES):
             pose.confidence[[JOINT_INDEX[name] for name in ("Hip", "RHip", "LHip")]] = 0.1
             files.write(pose)
@@ -137,7 +138,7 @@ def test_hidden_hips_go_with_the_body(tmp_path: Path) -> None:
 
 
 def test_an_interruption_is_told_and_everything_is_written(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError), PoseFiles(tmp_path, Take("live", ["a", "b"], "z", 0.2)) as files:
+    with pytest.raises(RuntimeError), PoseFiles(tmp_path, Take("live", ["a", "b"], "z", FileSettings())) as files:
         for pose in poses(5):
             files.write(pose)
         raise RuntimeError
@@ -151,7 +152,7 @@ def test_the_summary_has_its_keys_and_no_other(taken: Path) -> None:
     assert list(document) == list(Summary.__annotations__) and document["schema"] == SCHEMA
     documented = (Path(__file__).parents[2] / "docs" / "guides" / "export.md").read_text(encoding="utf-8")
     assert [key for key in Summary.__annotations__ if f"`{key}`" not in documented] == []
-    files = PoseFiles(taken / "other", Take("run", [], "z", 0.2))
+    files = PoseFiles(taken / "other", Take("run", [], "z", FileSettings()))
     files.numbers["poses"] = 3
     with pytest.raises(ValueError, match="not of a summary: poses"), files:
         pass
@@ -178,4 +179,4 @@ def test_what_is_no_summary(taken: Path, tmp_path: Path, change, message: str) -
 @pytest.mark.parametrize("least", [-0.1, 1.5, float("nan")])
 def test_least_confidence_out_of_range(least: float) -> None:
     with pytest.raises(InputError, match="--least-confidence must be from 0 to 1"):
-        Take("run", ["somewhere"], "z", least)
+        Take("run", ["somewhere"], "z", FileSettings(least_confidence=least))

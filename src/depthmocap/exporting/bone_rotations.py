@@ -16,6 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
+from scipy.spatial.transform import Rotation
 
 from depthmocap.body.skeleton import BONES, JOINT_INDEX, JOINTS, MIRROR, PARENTS
 from depthmocap.geometry import rotation_between
@@ -25,17 +26,19 @@ CHILDREN: dict[str, tuple[str, ...]] = {
     joint: tuple(child for parent, child in BONES if parent == joint) for joint in PARENTS
 }
 
-_UP, _DOWN, _LEFT, _RIGHT = (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
+_DOWN, _LEFT, _RIGHT = (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
 
-#: The rest skeleton: a T pose that faces +Z, Y up, the subject's left at +X. For each joint the direction from its
-#: parent, and an adult's length (m), which is used only for a bone that is never observed. At the joints with several
-#: children, Hip and Spine2, the person's own directions are used, rotated to fit these best.
+#: The rest skeleton: a T pose that faces +Z, Y up, the subject's left at +X; the trunk as in somebody who stands at
+#: ease, so that pelvis and head are level. For each joint the direction from its parent, and an adult's length (m),
+#: which is used only for a bone that is never observed. At the joints with several children, Hip and Spine2, the
+#: person's own directions are used, rotated to fit these best.
 REST: dict[str, tuple[tuple[float, float, float], float]] = {
-    "Spine": (_UP, 0.10), "Spine1": (_UP, 0.12), "Spine2": (_UP, 0.12), "Neck": (_UP, 0.15), "Head": (_UP, 0.10),
-    "RHip": ((-0.8, -0.6, 0.0), 0.11), "RKnee": (_DOWN, 0.42), "RFoot": (_DOWN, 0.40),
-    "LHip": ((0.8, -0.6, 0.0), 0.11), "LKnee": (_DOWN, 0.42), "LFoot": (_DOWN, 0.40),
-    "RShoulder": ((-0.8, 0.6, 0.0), 0.20), "RElbow": (_RIGHT, 0.27), "RHand": (_RIGHT, 0.25),
-    "LShoulder": ((0.8, 0.6, 0.0), 0.20), "LElbow": (_LEFT, 0.27), "LHand": (_LEFT, 0.25),
+    "Spine": ((0.0, 0.915, 0.404), 0.10), "Spine1": ((0.0, 0.994, 0.105), 0.16), "Spine2": ((0.0, 0.995, -0.098), 0.14),
+    "Neck": ((0.0, 0.987, 0.162), 0.19), "Head": ((0.0, 0.944, 0.331), 0.11),
+    "RHip": ((-0.837, 0.023, 0.546), 0.13), "RKnee": (_DOWN, 0.42), "RFoot": (_DOWN, 0.40),
+    "LHip": ((0.837, 0.023, 0.546), 0.13), "LKnee": (_DOWN, 0.42), "LFoot": (_DOWN, 0.40),
+    "RShoulder": ((-0.877, 0.429, 0.214), 0.21), "RElbow": (_RIGHT, 0.27), "RHand": (_RIGHT, 0.25),
+    "LShoulder": ((0.877, 0.429, 0.214), 0.21), "LElbow": (_LEFT, 0.27), "LHand": (_LEFT, 0.25),
 }  # fmt: skip
 
 #: End sites of the last bones in the rest skeleton: offset (m) from the joint. They are not observed.
@@ -119,7 +122,8 @@ def rest_offsets(joints_y_up: Float[ndarray, "t 18 3"]) -> Float[ndarray, "18 3"
     offsets = np.zeros((len(JOINTS), 3))
     for joint, (direction, adult_length) in REST.items():
         i = JOINT_INDEX[joint]
-        offsets[i] = np.array(direction) * (adult_length if np.isnan(lengths[i]) else lengths[i])
+        unit = np.array(direction) / np.linalg.norm(direction)
+        offsets[i] = unit * (adult_length if np.isnan(lengths[i]) else lengths[i])
     for children in CHILDREN.values():
         index = _index(children)
         if len(index) < 2:
@@ -196,3 +200,11 @@ def euler_zxy_deg(rotation: Float[ndarray, "t *n 3 3"]) -> Float[ndarray, "t *n 
     )
     y = np.where(locked, 0.0, np.arctan2(-rotation[..., 2, 0], rotation[..., 2, 2]))
     return np.rad2deg(np.unwrap(np.stack([z, np.arcsin(sin_x), y], -1), axis=0))
+
+
+def quaternions(rotation: Float[ndarray, "t n 3 3"]) -> Float[ndarray, "t n 4"]:
+    """Unit quaternions x, y, z, w, without jumps of sign between frames."""
+    values = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_quat().reshape(*rotation.shape[:2], 4)
+    turned = (values[1:] * values[:-1]).sum(-1) < 0
+    signs = np.cumprod(np.where(turned, -1.0, 1.0), axis=0)
+    return np.concatenate([values[:1], values[1:] * signs[..., None]])

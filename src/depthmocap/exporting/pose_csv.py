@@ -50,16 +50,21 @@ class CsvWriter:
         """Append one pose."""
         if self.origin_ns is None:
             self.origin_ns = pose.timestamp_ns
-        cells = [f"{(pose.timestamp_ns - self.origin_ns) * 1e-9:.9f}"]
-        for (x, y, z), confidence in zip(pose.joints.tolist(), pose.confidence.tolist(), strict=True):
-            cells.append(f"{x:.6f},{y:.6f},{z:.6f},{confidence:.4f}")
-        cells.append(str(pose.timestamp_ns))
-        self._write_line(",".join(cells))
+        self._write_line(pose_row(pose, self.origin_ns))
 
     def _write_line(self, line: str) -> None:
         if self._file is None:
             raise ValueError("CsvWriter is closed: use it as `with CsvWriter(path) as writer:`")
         self._file.add(line)
+
+
+def pose_row(pose: Pose, origin_ns: int) -> str:
+    """The line of a pose."""
+    cells = [f"{(pose.timestamp_ns - origin_ns) * 1e-9:.9f}"]
+    for (x, y, z), confidence in zip(pose.joints.tolist(), pose.confidence.tolist(), strict=True):
+        cells.append(f"{x:.6f},{y:.6f},{z:.6f},{confidence:.4f}")
+    cells.append(str(pose.timestamp_ns))
+    return ",".join(cells)
 
 
 def write_csv(path: Path, poses: Sequence[Pose]) -> None:

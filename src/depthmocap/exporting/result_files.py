@@ -22,6 +22,10 @@ from depthmocap.recordings.pose_table import TIME, read_table
 
 #: The files that ``run`` and ``live`` write into the folder of results and into the folder of each person.
 RESULT_FILES = ("pose.csv", "pose.trc", "pose.bvh", "summary.json")
+#: The files that they write besides, where they are told to.
+MORE_FILES = ("pose.npz", "pose.c3d", "pose.glb", "pose.usd", "export.json")
+#: The formats that :class:`PoseFiles` writes at its end.
+WRITTEN_FORMATS = ("trc", "bvh")
 #: The files that ``run`` also writes.
 PICTURE_FILES = ("report.html", "preview.webp")
 #: Most files of people open at a time: systems limit open files.
@@ -45,7 +49,8 @@ def remove_results(folder: Path) -> None:
             if path != folder and (not _PERSON.fullmatch(path.name) or path.is_symlink() or not path.is_dir()):
                 continue
             has_poses = _is_poses(path / "pose.csv")
-            for name in (*RESULT_FILES, *PICTURE_FILES) if has_poses else RESULT_FILES if path == folder else ():
+            removed = RESULT_FILES if path == folder else ()
+            for name in (*RESULT_FILES, *MORE_FILES, *PICTURE_FILES) if has_poses else removed:
                 (path / name).unlink(missing_ok=True)
             if has_poses and path != folder:
                 with contextlib.suppress(OSError):  # it holds something else
@@ -143,9 +148,24 @@ class PoseFiles:
             return {}
         # Read back rather than kept, because hours of poses would fill the memory.
         poses, take = read_table(self._folder / "pose.csv").poses(), self._take
-        write_trc(self._folder / "pose.trc", poses, take.up, take.least_confidence, take.origin_ns)
+        files = take.files
+        if "trc" in files.formats:
+            write_trc(
+                self._folder / "pose.trc", poses, take.up, files.least_confidence, take.origin_ns, fill_s=files.fill_s
+            )
+        if "bvh" not in files.formats:
+            return {}
         try:
-            held = write_bvh(self._folder / "pose.bvh", poses, take.up, take.least_confidence)
+            held = write_bvh(
+                self._folder / "pose.bvh",
+                poses,
+                take.up,
+                files.least_confidence,
+                fill_s=files.fill_s,
+                skeleton=files.skeleton,
+                rest=files.rest,
+                unit=files.bvh_unit,
+            )
         except InputError as error:
             raise InputError(f"no pose.bvh: {error}") from None
         by_joint = {joint: frame_ranges(held[:, i]) for i, joint in enumerate(JOINTS)}

@@ -19,6 +19,7 @@ from numpy import ndarray
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.core.output import plain_json, write_json
 from depthmocap.errors import InputError
+from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.frames import Pose
 
 #: Version of the keys; it increases when a key is removed or changes its meaning.
@@ -91,22 +92,26 @@ class Take:
         command: the command that writes them.
         sources: recordings or cameras, as the user named them.
         up: the world's up axis.
-        least_confidence: joints with less are gaps in TRC, and held in BVH.
+        files: what files are written, and how.
         origin_ns: the timestamp of ``time_s`` = 0 in every file; None before the first frame set.
     """
 
     def __init__(
-        self, command: Literal["run", "live"], sources: Iterable[str | Path], up: str, least_confidence: float
+        self, command: Literal["run", "live"], sources: Iterable[str | Path], up: str, files: FileSettings
     ) -> None:
         """
         Raises:
-            InputError: when ``least_confidence`` is not from 0 to 1.
+            InputError: when a setting is out of range.
         """
-        if not 0 <= least_confidence <= 1:
-            raise InputError(f"--least-confidence must be from 0 to 1, got {least_confidence}")
+        files.check()
         self.command: Literal["run", "live"] = command
-        self.sources, self.up, self.least_confidence = [str(source) for source in sources], up, least_confidence
+        self.sources, self.up, self.files = [str(source) for source in sources], up, files
         self.origin_ns: int | None = None
+
+    @property
+    def least_confidence(self) -> float:
+        """Joints with less are gaps in TRC, and held in BVH."""
+        return self.files.least_confidence
 
     def begin(self, timestamp_ns: int) -> int:
         """The timestamp of ``time_s`` = 0: that of the first call."""

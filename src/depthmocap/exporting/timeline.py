@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from numpy import ndarray
 
 from depthmocap.errors import InputError
@@ -20,6 +20,11 @@ Y_UP_FROM_Z_UP = z_up_from("y").T
 LEAST_CONFIDENCE = 0.2
 #: The frame interval of a recording of a single pose (seconds).
 SINGLE_FRAME_S = 1 / 30
+
+
+def y_up_from(up: str) -> Float[ndarray, "3 3"]:
+    """Rotation into the Y-up world of files from a world whose up axis is "z", "y" or "-y"."""
+    return Y_UP_FROM_Z_UP @ z_up_from(up)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -70,26 +75,55 @@ def timeline(
     if len(poses) > 1:
         steps = np.maximum(np.rint(intervals_s / np.median(intervals_s)), 1)
         frame_s = float((times_s[-1] - times_s[0]) / steps.sum())
-    return Timeline(times_s, joints @ (Y_UP_FROM_Z_UP @ z_up_from(up)).T, frame_s)
+    return Timeline(times_s, joints @ y_up_from(up).T, frame_s)
 
 
-def uniform_frames(line: Timeline) -> tuple[Int[ndarray, " n"], Bool[ndarray, " n"]]:
-    """The index of the pose in each of evenly spaced frames, and whether it is repeated for a lost frame.
+@dataclasses.dataclass(frozen=True)
+class FrameTimes:
+    """Evenly spaced frames: the first one's time, the interval (seconds) and their number."""
 
-    It is the nearest pose, or the last one if none is within half an interval. Regular timestamps give 0, 1, 2, ….
+    start_s: float
+    frame_s: float
+    count: int
+
+    @property
+    def times_s(self) -> Float[ndarray, " n"]:
+        """Of every frame."""
+        return self.start_s + np.arange(self.count) * self.frame_s
+
+
+def frame_times(lines: Sequence[Timeline]) -> FrameTimes:
+    """Evenly spaced frames from the first pose to the last, at the interval of the longest recording.
 
     Raises:
-        InputError: when long pauses would fill the file with copies of one pose.
+        InputError: when long pauses would fill a file with frames of nobody.
     """
-    count = int(np.rint((line.times_s[-1] - line.times_s[0]) / line.frame_s)) + 1
-    if count > 20 * len(line.times_s) + 1000:
-        longest = int(np.diff(line.times_s).argmax())
-        longest_s = line.times_s[longest + 1] - line.times_s[longest]
+    longest = max(lines, key=lambda line: len(line.times_s))
+    start_s, end_s = min(line.times_s[0] for line in lines), max(line.times_s[-1] for line in lines)
+    count = int(np.rint((end_s - start_s) / longest.frame_s)) + 1
+    times_s = np.unique(np.concatenate([line.times_s for line in lines]))
+    if count > 20 * len(times_s) + 1000:
+        pause = int(np.diff(times_s).argmax())
+        pause_s = times_s[pause + 1] - times_s[pause]
         raise InputError(
-            f"the recording pauses for {longest_s:.0f} s after frame {longest} (from 0), which evenly spaced frames "
+            f"the recording pauses for {pause_s:.0f} s after frame {pause} (from 0), which evenly spaced frames "
             "would fill with copies of it: record its parts one by one, or take out what does not belong to it"
         )
-    frame_times_s = line.times_s[0] + np.arange(count) * line.frame_s
-    half_s = 0.5 * line.frame_s
-    source = np.searchsorted(line.times_s, frame_times_s + half_s, side="right") - 1
-    return source, line.times_s[source] < frame_times_s - half_s * (1 + 1e-6)
+    return FrameTimes(float(start_s), longest.frame_s, count)
+
+
+def evenly_spaced(line: Timeline, frames: FrameTimes | None = None) -> Timeline:
+    """A recording in evenly spaced frames, by default from its first pose on.
+
+    A frame has the nearest pose in time; where none is within half an interval, a frame was lost, and its joints are
+    NaN. Regular timestamps keep every pose.
+
+    Raises:
+        InputError: as :func:`frame_times`.
+    """
+    frames = frames or frame_times([line])
+    half_s = 0.5 * frames.frame_s
+    source = np.searchsorted(line.times_s, frames.times_s + half_s, side="right") - 1
+    lost = (source < 0) | (line.times_s[source] < frames.times_s - half_s * (1 + 1e-6))
+    joints = np.where(lost[:, None, None], np.nan, line.joints_y_up[source])
+    return Timeline(frames.times_s, joints, frames.frame_s)

@@ -13,6 +13,9 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.core.output import write_file
 from depthmocap.core.reading.input_files import read_text
 from depthmocap.errors import InputError
+from depthmocap.exporting.exported_take import ExportedTake
+from depthmocap.exporting.file_settings import FileSettings
+from depthmocap.exporting.gap_filling import fill_gaps
 from depthmocap.exporting.timeline import LEAST_CONFIDENCE, Y_UP_FROM_Z_UP, timeline
 from depthmocap.frames import Pose
 
@@ -30,18 +33,22 @@ def write_trc(
     up: str,
     least_confidence: float = LEAST_CONFIDENCE,
     origin_ns: int | None = None,
+    *,
+    fill_s: float = 0.0,
 ) -> None:
     """Write poses whose world has the up axis ``up`` ("z", "y" or "-y").
 
     Times are those of the poses, from ``origin_ns`` on their clock (by default the first pose is at 0). The rates in
     the header follow from their typical interval. A marker that is missing, or whose confidence is below
-    ``least_confidence``, is three empty cells, which OpenSim reads as NaN.
+    ``least_confidence``, is three empty cells, which OpenSim reads as NaN; gaps of a marker up to ``fill_s`` seconds
+    are filled instead (:func:`fill_gaps`).
 
     Raises:
         InputError: when there is no pose, none shows a person, timestamps do not increase, or the file cannot be
             written.
     """
     line = timeline(poses, up, least_confidence, origin_ns)
+    joints_y_up, _ = fill_gaps(line.times_s, line.joints_y_up, fill_s)
     rate = f"{1 / line.frame_s:.6g}"
     count = str(len(poses))
     values = (rate, rate, count, str(len(JOINTS)), "mm", rate, "1", count)
@@ -55,10 +62,21 @@ def write_trc(
         "\t\t" + "".join(f"{axis}\t" for axis in axes),
         "",
     ]
-    for i, (time_s, joints_mm) in enumerate(zip(line.times_s, line.joints_y_up * 1000, strict=True)):
+    for i, (time_s, joints_mm) in enumerate(zip(line.times_s, joints_y_up * 1000, strict=True)):
         cells = ["" if np.isnan(value) else f"{value:.3f}" for value in joints_mm.ravel()]
         lines.append("\t".join([str(i + 1), f"{time_s:.6f}", *cells, ""]))
     write_file(path, "\n".join(lines) + "\n")
+
+
+def write_take_trc(path: Path, take: ExportedTake, settings: FileSettings) -> None:
+    """Write a person of a take as :func:`write_trc` does.
+
+    Raises:
+        InputError: when the file cannot be written, or no joint remains.
+    """
+    (person,) = take.people
+    poses = person.table.poses()
+    write_trc(path, poses, take.up, settings.least_confidence, take.origin_ns, fill_s=settings.fill_s)
 
 
 def read_trc(path: Path) -> tuple[Float[ndarray, " t"], Float[ndarray, "t 18 3"]]:

@@ -21,10 +21,11 @@ from depthmocap.core.console import Terminal
 from depthmocap.core.interrupts import deferred_interrupts
 from depthmocap.core.locks import locks_outputs
 from depthmocap.errors import InputError
+from depthmocap.exporting.export_command import write_more_formats
+from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.exporting.result_files import NO_PERSON, PeopleFiles, PoseFiles, remove_results
 from depthmocap.exporting.run_result import RunResult
 from depthmocap.exporting.summary import Quantiles, Summary, Take, count_problems, problem_lines, unsure_lines
-from depthmocap.exporting.timeline import LEAST_CONFIDENCE
 from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.offline.pipeline import STAGES, Pipeline, Result, warm_up
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline, open_source
@@ -37,7 +38,7 @@ from depthmocap.text import camera_list, joined
 
 
 @dataclasses.dataclass(frozen=True)
-class RunSettings(PipelineSettings):
+class RunSettings(PipelineSettings, FileSettings):
     """Motion capture of a recording.
 
     Where several people are followed, each has a folder ``person-N`` besides, and the files of ``out`` are of the one
@@ -47,15 +48,13 @@ class RunSettings(PipelineSettings):
         recording: a recording folder (rig.json and 16-bit PNGs per camera), an MCAP file or a section of UBC3V.
         rig: a rig.json that tells where the cameras stand, such as ``depthmocap calibrate`` writes, instead of what the
             recording says.
-        out: folder for pose.csv, pose.trc, pose.bvh, summary.json and report.html.
-        least_confidence: joints below it are gaps in pose.trc and are held in pose.bvh; pose.csv has all.
+        out: folder for pose.csv, files of other formats, summary.json and report.html.
         report: draw report.html and the animated preview.
     """
 
     recording: tyro.conf.Positional[Path]
     out: Path
     rig: Path | None = None
-    least_confidence: float = LEAST_CONFIDENCE
     report: bool = True
 
 
@@ -72,7 +71,7 @@ def run(settings: RunSettings, console: Console | None = None) -> RunResult:
 
 def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) -> Summary:
     source = open_source(settings.recording, settings.rig)
-    take = Take("run", [settings.recording], source.up, settings.least_confidence)
+    take = Take("run", [settings.recording], source.up, settings)
     with console.status("reading the background and the weights"):
         pipeline = load_pipeline(source, settings)
         # The first frame ever compiles the inner loops, which would be taken for the machine's speed.
@@ -119,6 +118,8 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
         with console.status("drawing the report"):
             write_run_report(settings.out, summary, pictures, np.stack(capture.truths), np.stack(capture.joints))
     _tell(summary, settings.out, console)
+    for problem in write_more_formats(settings, settings.out):
+        console.print(f"  {problem}")
     return summary
 
 

@@ -19,10 +19,11 @@ from depthmocap.core.interrupts import deferred_interrupts
 from depthmocap.core.locks import locks_outputs
 from depthmocap.core.settings import check_above_0, check_at_least
 from depthmocap.errors import InputError
+from depthmocap.exporting.export_command import write_more_formats
+from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.exporting.result_files import PeopleFiles, PoseFiles, remove_results
 from depthmocap.exporting.run_result import RunResult
 from depthmocap.exporting.summary import Summary, Take, problem_lines, unsure_lines
-from depthmocap.exporting.timeline import LEAST_CONFIDENCE
 from depthmocap.geometry import Rig, load_rig
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline
 from depthmocap.realtime.dashboard import draw_dashboard
@@ -39,7 +40,7 @@ DRAW_S = 0.25
 
 
 @dataclasses.dataclass(frozen=True)
-class LiveSettings(PipelineSettings):
+class LiveSettings(PipelineSettings, FileSettings):
     """Motion capture of cameras until Ctrl-C, or until the recordings end.
 
     Where several people are followed, each has a folder ``person-N`` in ``out`` besides.
@@ -48,12 +49,11 @@ class LiveSettings(PipelineSettings):
         sources: cameras such as realsense:SERIAL or left=azure:SERIAL, each with a mode if you like
             ("azure:SERIAL?mode=nfov&fps=15", "realsense:SERIAL?size=848x480"), recordings, or synthetic.
         rig: a rig.json that tells where the cameras stand; recordings know.
-        out: folder for pose.csv, pose.trc, pose.bvh and summary.json.
+        out: folder for pose.csv, files of other formats and summary.json.
         record: a new MCAP file (.mcap) for every frame as it came.
         realtime: play a recording at its own speed, as if it were cameras; otherwise as fast as the machine can, and
             no set is left out.
         seconds: stop so long after it was ready for poses.
-        least_confidence: joints below it are gaps in pose.trc and are held in pose.bvh; pose.csv has all.
         wait_ms: how long a set waits for a camera that is late.
         rate_hz: sets a second; by default the fastest camera's rate.
         triggered: the cameras expose together, by a wire.
@@ -67,7 +67,6 @@ class LiveSettings(PipelineSettings):
     record: Path | None = None
     realtime: bool = False
     seconds: float | None = None
-    least_confidence: float = LEAST_CONFIDENCE
     wait_ms: float = SyncSettings().wait_ms
     rate_hz: float | None = None
     triggered: bool = False
@@ -89,7 +88,7 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> RunResul
         raise InputError(f"--seconds must be positive, got {settings.seconds}")
     check_above_0({"--rate-hz": settings.rate_hz})
     check_at_least(0, {"--wait-ms": settings.wait_ms})
-    take = Take("live", settings.sources, "z", settings.least_confidence)
+    take = Take("live", settings.sources, "z", settings)
     if settings.record is not None:
         check_name("--record", settings.record)
     with contextlib.ExitStack() as stack:
@@ -121,6 +120,9 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> RunResul
             )
         raise InputError(f"no set of frames came: {problems or 'are the cameras running?'}")
     _report(files.summary, settings, console)
+    if settings.out is not None:
+        for problem in write_more_formats(settings, settings.out):
+            console.print(f"• {problem}")
     return RunResult(settings.out, files.summary)
 
 

@@ -1,0 +1,126 @@
+"""C3D files of biomechanics: joints as points, bones as rotations; millimetres, Z up. Needs ezc3d (extra: export)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.special import gammaincinv
+
+from depthmocap.body.skeleton import JOINTS
+from depthmocap.core.output import atomic_write
+from depthmocap.core.version import __version__
+from depthmocap.errors import InputError, missing_extra
+from depthmocap.exporting.body_motion import BodyMotion, solve_body
+from depthmocap.exporting.exported_take import ExportedTake
+from depthmocap.exporting.file_settings import FileSettings
+from depthmocap.exporting.timeline import Y_UP_FROM_Z_UP, FrameTimes, Timeline, evenly_spaced, frame_times
+
+#: What a C3D file's header can count.
+MOST_FRAMES = 65535
+#: C3D's mark of a point or rotation that is not known.
+_INVALID = -1.0
+#: A confidence is the probability that a joint is within this distance of the truth (mm).
+_WITHIN_MM = 100.0
+#: Confidences that a normal distribution gives a finite error other than 0.
+_LEAST, _MOST = 0.01, 0.9999
+
+
+def expected_error_mm(confidence: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
+    """The mean error of a joint of which the confidence lies within 100 mm, if errors are normal and alike in every
+    direction."""
+    # Distances are distributed as chi with three degrees of freedom: its quantile, and its mean.
+    deviation_mm = _WITHIN_MM / np.sqrt(2 * gammaincinv(1.5, np.clip(confidence, _LEAST, _MOST)))
+    return deviation_mm * np.sqrt(8 / np.pi)
+
+
+def write_c3d(path: Path, take: ExportedTake, settings: FileSettings) -> None:
+    """Write everybody of a take into one file.
+
+    Points have the expected error as residual (:func:`expected_error_mm`), 0 where they were filled, and -1 where they
+    are not known. The group ROTATION has every bone's 4×4 matrix of rotation and origin; the axes of a bone are, at
+    rest, x the subject's left, y up and z forward. Markers are events, in time from the first frame.
+
+    Raises:
+        InputError: when ezc3d is not installed, the take is longer than a file can be, or it cannot be written.
+    """
+    try:
+        import ezc3d
+    except ImportError:
+        raise missing_extra("ezc3d", "export") from None
+
+    lines = [take.rows(person, settings.least_confidence) for person in take.people]
+    frames = frame_times(lines)
+    if frames.count > MOST_FRAMES:
+        raise InputError(
+            f"no pose.c3d: it holds {MOST_FRAMES:,} frames, and the take has {frames.count:,}: record it in parts"
+        )
+    motions = [solve_body(evenly_spaced(line, frames), settings.fill_s) for line in lines]
+    confidences = [
+        _evenly_spaced_confidence(line, person.table.confidence, frames)
+        for line, person in zip(lines, take.people, strict=True)
+    ]
+    parts = [_points(motion, confidence) for motion, confidence in zip(motions, confidences, strict=True)]
+    points, residuals = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
+    names = [take.name(person) for person in take.people]
+    labels = [f"{name}:{joint}" if name else joint for name in names for joint in JOINTS]
+
+    file: Any = ezc3d.c3d()
+    parameters = file["parameters"]
+    parameters["POINT"]["RATE"]["value"] = [1 / frames.frame_s]
+    parameters["POINT"]["LABELS"]["value"] = labels
+    parameters["POINT"]["UNITS"]["value"] = ["mm"]
+    for name, value in {"X_SCREEN": "+X", "Y_SCREEN": "+Z"}.items():
+        file.add_parameter("POINT", name, [value])
+    file.add_parameter("ROTATION", "USED", [len(labels)])
+    file.add_parameter("ROTATION", "RATE", [1 / frames.frame_s])
+    file.add_parameter("ROTATION", "LABELS", labels)
+    file.add_parameter("MANUFACTURER", "SOFTWARE", ["depthmocap"])
+    file.add_parameter("MANUFACTURER", "VERSION_LABEL", [__version__])
+    file.add_parameter("DEPTHMOCAP", "START_S", [frames.start_s])
+    file.add_parameter("DEPTHMOCAP", "FIRST_TIMESTAMP_NS", [str(take.origin_ns)])
+    for time_s, text in take.markers:
+        if text and time_s >= frames.start_s:
+            minutes, seconds = divmod(time_s - frames.start_s, 60)
+            file.add_event([minutes, seconds], "General", text)
+    if names[0]:
+        file.add_parameter("SUBJECTS", "USED", [len(names)])
+        file.add_parameter("SUBJECTS", "NAMES", names)
+        file.add_parameter("SUBJECTS", "USES_PREFIXES", [1])
+        file.add_parameter("SUBJECTS", "LABEL_PREFIXES", [f"{name}:" for name in names])
+    file["data"]["points"] = np.moveaxis(points, -1, 0).transpose(0, 2, 1)
+    file["data"]["meta_points"] = {"residuals": residuals.T[None]}
+    file["data"]["rotations"] = np.concatenate([_matrices(motion) for motion in motions], 1).transpose(2, 3, 1, 0)
+    with atomic_write(path) as unfinished:
+        file.write(str(unfinished))
+
+
+def _evenly_spaced_confidence(
+    line: Timeline, confidence: Float[ndarray, "t 18"], frames: FrameTimes
+) -> Float[ndarray, "n 18"]:
+    as_points = np.repeat(confidence[..., None], 3, -1)
+    return evenly_spaced(Timeline(line.times_s, as_points, line.frame_s), frames).joints_y_up[..., 0]
+
+
+def _points(
+    motion: BodyMotion, confidence: Float[ndarray, "n 18"]
+) -> tuple[Float[ndarray, "n 18 4"], Float[ndarray, "n 18"]]:
+    """Points (mm, with the 1 that C3D's readers expect) and residuals."""
+    unknown = np.asarray(np.isnan(motion.joints).any(-1))
+    points = np.concatenate([motion.joints @ Y_UP_FROM_Z_UP * 1000, np.ones((*unknown.shape, 1))], -1)
+    residuals = np.where(motion.filled, 0.0, expected_error_mm(np.nan_to_num(confidence)))
+    points[unknown] = 0.0  # as C3D has it
+    return points, np.where(unknown, _INVALID, residuals)
+
+
+def _matrices(motion: BodyMotion) -> Float[ndarray, "n 18 4 4"]:
+    """World from bone, in millimetres; NaN where the rotation is not observed."""
+    matrices = np.zeros((*motion.held.shape, 4, 4))
+    matrices[..., :3, :3] = Y_UP_FROM_Z_UP.T @ motion.world_rotations()
+    matrices[..., :3, 3] = motion.positions() @ Y_UP_FROM_Z_UP * 1000
+    matrices[..., 3, 3] = 1.0
+    matrices[motion.rotation_held] = np.nan
+    return matrices

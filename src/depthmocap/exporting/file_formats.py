@@ -1,0 +1,57 @@
+"""The formats of files: one row and one function each."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import importlib.util
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from depthmocap.errors import missing_extra
+from depthmocap.exporting.exported_take import ExportedTake
+from depthmocap.exporting.file_settings import FileSettings, FormatName
+
+#: Writes a file of a take; of one person, where people have files of their own.
+Write = Callable[[Path, ExportedTake, FileSettings], None]
+
+
+@dataclasses.dataclass(frozen=True)
+class FileFormat:
+    """A format of files.
+
+    Attributes:
+        module: that writes it, by ``function`` (:data:`Write`).
+        together: whether everybody is in one file; otherwise each person has one.
+        needs: the module of another package, which the extra "export" brings, and that package.
+    """
+
+    module: str
+    function: str
+    together: bool = False
+    needs: tuple[str, str] | None = None
+
+    @property
+    def write(self) -> Write:
+        """The function that writes it."""
+        return getattr(importlib.import_module(f"depthmocap.exporting.{self.module}"), self.function)
+
+
+FORMATS: dict[FormatName, FileFormat] = {
+    "csv": FileFormat("rotation_csv", "write_rotation_csv"),
+    "trc": FileFormat("trc", "write_take_trc"),
+    "bvh": FileFormat("bvh", "write_take_bvh"),
+    "npz": FileFormat("pose_npz", "write_npz"),
+    "c3d": FileFormat("c3d", "write_c3d", together=True, needs=("ezc3d", "ezc3d")),
+}
+
+
+def check_formats(formats: Sequence[FormatName]) -> None:
+    """
+    Raises:
+        InputError: when a format needs a package that is not installed.
+    """
+    for name in formats:
+        needs = FORMATS[name].needs
+        if needs is not None and importlib.util.find_spec(needs[0]) is None:
+            raise missing_extra(needs[1], "export")

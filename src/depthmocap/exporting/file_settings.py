@@ -1,0 +1,45 @@
+"""What files of a take are written, and how: one set of options of ``run``, ``live`` and ``export``."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+from depthmocap.core.settings import check_at_least
+from depthmocap.errors import InputError
+from depthmocap.exporting.target_skeleton import RestPose, SkeletonName
+from depthmocap.exporting.timeline import LEAST_CONFIDENCE
+
+BvhUnit = Literal["cm", "m"]
+FormatName = Literal["csv", "trc", "bvh", "npz", "c3d"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FileSettings:
+    """The files of a take.
+
+    Attributes:
+        formats: of files besides pose.csv, which is always there: trc, bvh and npz for every person, c3d with everybody
+            in one file; csv adds the bones' rotations to pose.csv.
+        skeleton: names of the bones in bvh.
+        rest: the pose at rest in bvh: T, or A with arms 45 degrees down.
+        bvh_unit: of lengths in bvh; Blender takes numbers for metres.
+        least_confidence: joints below it are gaps in trc, c3d and npz, and are held in bvh; pose.csv has all.
+        fill_s: gaps of a joint up to so long (s) are filled by interpolation over time.
+    """
+
+    formats: tuple[FormatName, ...] = ("trc", "bvh")
+    skeleton: SkeletonName = "depthmocap"
+    rest: RestPose = "t"
+    bvh_unit: BvhUnit = "cm"
+    least_confidence: float = LEAST_CONFIDENCE
+    fill_s: float = 0.0
+
+    def check(self) -> None:
+        """
+        Raises:
+            InputError: when a setting is out of range.
+        """
+        if not 0 <= self.least_confidence <= 1:
+            raise InputError(f"--least-confidence must be from 0 to 1, got {self.least_confidence}")
+        check_at_least(0, {"--fill-s": self.fill_s})
