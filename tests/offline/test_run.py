@@ -184,10 +184,10 @@ def test_signals_end_a_run_with_everything_written(recording, tmp_path, monkeypa
         if len(written) == 2:
             signal.raise_signal(number)
 
-    def write_trc_late(*arguments):
+    def write_trc_late(*arguments, **options):
         monkeypatch.setattr("depthmocap.core.interrupts._REPEAT_S", 0.0)
         signal.raise_signal(signal.SIGTERM)
-        write_trc(*arguments)
+        write_trc(*arguments, **options)
 
     monkeypatch.setattr(CsvWriter, "write", write_two)
     monkeypatch.setattr("depthmocap.exporting.result_files.write_trc", write_trc_late)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.exporting.result_files import PeopleFiles, PoseFiles
 from depthmocap.exporting.summary import Take
 from depthmocap.frames import Pose
@@ -21,7 +22,7 @@ OFF_M, APART_M = 0.02, 0.8
 def write_result(folder: Path, recording: Path, off_m: float = OFF_M) -> None:
     """A result of two people beside the truth; the third pose is the least sure."""
     opened = open_recording(recording)
-    take = Take("run", [recording], opened.up, 0.2)
+    take = Take("run", [recording], opened.up, FileSettings())
     with PoseFiles(folder, take) as files, PeopleFiles(folder, take) as people:
         for i, (stamp, joints) in enumerate(opened.truth_rows()[:SETS]):
             take.begin(stamp)
