@@ -23,6 +23,8 @@ from depthmocap.streaming.addresses import open_stream
         ("osc://me@127.0.0.1:9000", "has more than a host and a port"),
         ("osc://127.0.0.1:9000?a=1", "has more than a host and a port"),
         ("osc://127. 0.0.1:9000", "has more than a host and a port"),
+        ("lsl://a\nb", r"the name of a stream is at most 100 printable characters, not 'a\\nb'"),
+        ("lsl://" + 101 * "a", "the name of a stream is at most 100"),
         ("osc://127.0.0.1:0", "port is from 1 to 65535, got 0"),
     ],
 )

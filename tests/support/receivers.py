@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -59,6 +61,42 @@ class OscReceiver:
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
+
+
+#: Lab Streaming Layer looks nowhere but on this machine, and finds nothing but what these tests make.
+_LSL_CONFIGURATION = """
+[ports]
+IPv6 = disable
+[multicast]
+ResolveScope = machine
+ListenAddress = 127.0.0.1
+AddressesOverride = {127.0.0.1}
+[lab]
+KnownPeers = {127.0.0.1}
+SessionID = depthmocap-tests-%d
+[tuning]
+MulticastMinRTT = 0.02
+UnicastMinRTT = 0.02
+[log]
+level = -3
+"""
+
+
+@pytest.fixture
+def lsl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """pylsl, restricted to this machine. The library reads its configuration when it is first used in a process."""
+    path = tmp_path / "lsl_api.cfg"
+    path.write_text(_LSL_CONFIGURATION % os.getpid(), encoding="utf-8")
+    monkeypatch.setenv("LSLAPICFG", str(path))
+    return pytest.importorskip("pylsl")
+
+
+def lsl_inlet(lsl: Any, name: str) -> Any:
+    """The receiving end of a stream, connected. It is found by asking one port after the other, not by a broadcast."""
+    (found,) = lsl.resolve_byprop("name", name, 1, 20)
+    inlet = lsl.StreamInlet(found, recover=False)
+    inlet.open_stream(20)
+    return inlet
 
 
 @pytest.fixture

@@ -12,12 +12,16 @@ from depthmocap.streaming.stream_protocol import Stream
 
 #: Host of an address without one.
 LOCAL_HOST = "127.0.0.1"
-#: For each scheme the module and the class of its stream, and its usual port.
-_STREAMS: dict[str, tuple[str, str, int]] = {
+#: For each scheme the module and the class of its stream, and its usual port; None where a name stands in place of host
+#: and port.
+_STREAMS: dict[str, tuple[str, str, int | None]] = {
     "osc": ("depthmocap.streaming.osc_stream", "OscStream", 9000),
     "vmc": ("depthmocap.streaming.vmc_stream", "VmcStream", 39539),
     "ws": ("depthmocap.streaming.websocket_stream", "WebSocketStream", 8770),
+    "lsl": ("depthmocap.streaming.lsl_stream", "LslStream", None),
 }
+#: Characters of a name.
+_LONGEST_NAME = 100
 
 
 def open_stream(address: str) -> Stream:
@@ -32,9 +36,17 @@ def open_stream(address: str) -> Stream:
     if scheme not in _STREAMS:
         raise InputError(f"there is no stream {scheme}://, only {', '.join(f'{each}://' for each in _STREAMS)}")
     module, name, port = _STREAMS[scheme]
-    stream = getattr(importlib.import_module(module), name)(*_host_and_port(address, port))
+    what = (_name(rest),) if port is None else _host_and_port(address, port)
+    stream = getattr(importlib.import_module(module), name)(*what)
     stream.name = address
     return cast(Stream, stream)
+
+
+def _name(name: str) -> str:
+    """The name of a stream, ``depthmocap`` by default."""
+    if not name.isprintable() or len(name) > _LONGEST_NAME:
+        raise InputError(f"the name of a stream is at most {_LONGEST_NAME} printable characters, not {name!r}")
+    return name or "depthmocap"
 
 
 def _host_and_port(address: str, usual_port: int) -> tuple[str, int]:
