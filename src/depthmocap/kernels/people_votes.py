@@ -115,8 +115,14 @@ def paint_people(depth_m, limit_m, row_starts, column_starts, samples_m, labels,
         out: (h, w) uint8, zeros.
     """
     rows, columns = labels.shape
+    first_row, last_row, first_column, last_column = rows, -1, columns, -1
     for i in range(rows):
         for j in range(columns):
+            if labels[i, j]:
+                first_row, last_row = min(first_row, i), i
+                first_column, last_column = min(first_column, j), max(last_column, j)
+    for i in range(max(first_row - 1, 0), min(last_row + 2, rows)):
+        for j in range(max(first_column - 1, 0), min(last_column + 2, columns)):
             top, bottom = max(i - 1, 0), min(i + 2, rows)
             left, right = max(j - 1, 0), min(j + 2, columns)
             least, most = 255, 0

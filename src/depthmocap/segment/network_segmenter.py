@@ -110,7 +110,7 @@ class NetworkSegmenter:
         measure_statures(
             self._tracker.active, votes, labels, floor_from_world,
             lambda place: is_open(place, detected),
-            lambda label, place: highest_near(place, floor_from_world[2, :3], views, [im == label for im in images]),
+            lambda label, place: highest_near(place, floor_from_world[2, :3], views, images, label),
             now_s,
         )  # fmt: skip
         self._learn(frames, depths, detected)
@@ -192,11 +192,15 @@ def is_open(place: Float[ndarray, "3"], detected: Sequence[DetectedPeople]) -> b
 
 
 def highest_near(
-    place: Float[ndarray, "3"], up: Float[ndarray, "3"], views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]
+    place: Float[ndarray, "3"],
+    up: Float[ndarray, "3"],
+    views: Sequence[View],
+    images: Sequence[UInt8[ndarray, "_ _"]],
+    label: int,
 ) -> Float[ndarray, "3"]:
-    """The highest point in the masks within ``_HEAD_M`` of a place (metres, in the world), or the place itself."""
+    """The highest point of a label's pixels within ``_HEAD_M`` of a place (metres, in the world), or the place."""
     best = place
-    for view, mask in zip(views, masks, strict=True):
+    for view, image in zip(views, images, strict=True):
         camera = view.camera
         u, v, z = camera.project(place[None])[0]
         if not z > 0 or not np.isfinite(u + v):
@@ -204,7 +208,7 @@ def highest_near(
         reach = int(np.ceil(_HEAD_M * camera.fx / z))
         rows = np.s_[max(int(v) - reach, 0) : max(int(v) + reach + 1, 0)]
         columns = np.s_[max(int(u) - reach, 0) : max(int(u) + reach + 1, 0)]
-        near = mask[rows, columns] & (np.abs(view.depth_m[rows, columns] - z) < STEP_M)
+        near = (image[rows, columns] == label) & (np.abs(view.depth_m[rows, columns] - z) < STEP_M)
         if np.count_nonzero(near) < 3:
             continue
         depth_m, rays = view.depth_m[rows, columns][near], camera.rays[rows, columns][near]

@@ -62,8 +62,8 @@ PREDICT_S = 0.3
 FASTEST_MPS = 4.0
 #: Statures are measured so far apart in time (seconds),
 MEASURE_S = 0.06
-#: and kept, up to so many; from so many on they tell.
-STATURES_KEPT, STATURES_NEEDED = 60, 6
+#: and kept, up to so many; from so many on they tell, and from so many on they are measured only so often (seconds).
+STATURES_KEPT, STATURES_NEEDED, STATURES_ENOUGH, MEASURE_AGAIN_S = 60, 6, 30, 0.4
 #: Only who is so high (metres), shows so many samples, and has the middle of the trunk at these shares of the height
 #: stands upright;
 LEAST_STATURE_M, LEAST_POINTS, MIDDLE = 1.0, 60, (0.5, 0.75)
@@ -359,7 +359,8 @@ def measure_statures(
     """
     up, floor_m = floor_from_world[2, :3], -floor_from_world[2, 3]
     for track in tracks:
-        if now_s - track.measured_s < MEASURE_S or not track.area_m2:
+        wait_s = MEASURE_S if len(track.statures_m) < STATURES_ENOUGH else MEASURE_AGAIN_S
+        if now_s - track.measured_s < wait_s or not track.area_m2:
             continue
         own = np.flatnonzero(labels == track.label)
         if len(own) < LEAST_POINTS:
