@@ -14,6 +14,7 @@ from depthmocap.core.interrupts import deferred_interrupts
 from depthmocap.core.output import make_inner_folder, writing
 from depthmocap.errors import InputError
 from depthmocap.exporting.bvh import write_bvh
+from depthmocap.exporting.edits import EDITS_FILE
 from depthmocap.exporting.pose_csv import CsvWriter
 from depthmocap.exporting.summary import PoseStatistics, Summary, Take, frame_ranges, make_summary, write_summary
 from depthmocap.exporting.trc import write_trc
@@ -28,6 +29,8 @@ MORE_FILES = ("pose.npz", "pose.c3d", "pose.glb", "pose.usd", "export.json")
 WRITTEN_FORMATS = ("trc", "bvh")
 #: The files that ``run`` also writes.
 PICTURE_FILES = ("report.html", "preview.webp")
+#: Corrections of results that were written over.
+EARLIER_EDITS = "edits-earlier.json"
 #: Most files of people open at a time: systems limit open files.
 MOST_OPEN = 16
 #: Most people with a folder: false tracks must not fill a disk with folders.
@@ -39,12 +42,14 @@ _PERSON = re.compile(r"person-\d+")
 def remove_results(folder: Path) -> None:
     """Remove the results of an earlier ``run`` or ``live`` from a folder, so that they do not mix with new results or
     remain if writing fails. Pictures are removed only beside a ``pose.csv`` of depthmocap, and folders of people only
-    with one in them. All other files stay.
+    with one in them. Corrections of the earlier results are put aside under another name. All other files stay.
 
     Raises:
         InputError: when something cannot be removed.
     """
     with writing(folder):
+        if (folder / EDITS_FILE).is_file():
+            (folder / EDITS_FILE).replace(folder / EARLIER_EDITS)
         for path in (folder, *folder.iterdir()):
             if path != folder and (not _PERSON.fullmatch(path.name) or path.is_symlink() or not path.is_dir()):
                 continue

@@ -138,6 +138,12 @@ class Pipeline:
         if self.smoothing is not None:
             self.smoothing.reset()
 
+    def change_smoothing(self, smoothing: PoseFilter | None) -> None:
+        """Smooth by another filter from the next set on; what the present one holds back is given by :meth:`finish`
+        and :meth:`finish_people` before."""
+        self.smoothing = smoothing
+        self._filters.clear()
+
     def finish(self) -> list[Pose]:
         """The poses that a filter which waits has held back, at the end of a stream; forgets past poses."""
         return [] if self.smoothing is None else self.smoothing.finish()

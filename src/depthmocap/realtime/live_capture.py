@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import queue
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -108,6 +109,7 @@ class LiveCapture:
         #: Number of sets without a pose, because they came while the pipeline was prepared.
         self.sets_before_ready = 0
         self.up = rig.up if rig else (sources[0].up if sources else "z")
+        self._between_sets: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
 
     @property
     def pipeline(self) -> Pipeline | None:
@@ -155,6 +157,11 @@ class LiveCapture:
         self._timer.daemon = True
         self._timer.start()
 
+    def before_next_set(self, call: Callable[[], None]) -> None:
+        """Call a function in the iterating thread before the next set is processed; from any thread. So a pipeline is
+        changed between two sets."""
+        self._between_sets.put(call)
+
     def mark(self, text: str) -> None:
         """Send a marker, such as "trial 3", to the streams that take markers, with the present time."""
         now_ns = time.monotonic_ns()
@@ -191,6 +198,8 @@ class LiveCapture:
                 self._pipeline = self._make_warm_pipeline(frame_set(synced, self.reader.cameras))
                 self.sets_before_ready = self.reader.reset_dropped() + 1
                 continue
+            while not self._between_sets.empty():
+                self._between_sets.get()()
             frames = frame_set(synced, self.reader.cameras)
             result = self._pipeline(frames)
             self._send(result, frames)

@@ -6,7 +6,9 @@ import contextlib
 import dataclasses
 import functools
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tyro
 from rich.console import Console
@@ -18,22 +20,30 @@ from depthmocap.core.console import Terminal
 from depthmocap.core.interrupts import deferred_interrupts
 from depthmocap.core.locks import locks_outputs
 from depthmocap.core.settings import check_above_0, check_at_least
-from depthmocap.errors import InputError
+from depthmocap.errors import InputError, missing_extra
+from depthmocap.exporting.edits import Edits, Marker, write_edits
 from depthmocap.exporting.export_command import write_more_formats
 from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.exporting.result_files import PeopleFiles, PoseFiles, remove_results
 from depthmocap.exporting.run_result import RunResult
+from depthmocap.exporting.stored_result import read_result
 from depthmocap.exporting.summary import Summary, Take, problem_lines, unsure_lines
-from depthmocap.geometry import Rig, load_rig
+from depthmocap.frames import Pose
+from depthmocap.geometry import load_rig
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline
 from depthmocap.realtime.dashboard import draw_dashboard
 from depthmocap.realtime.live_capture import LiveCapture, Replay
-from depthmocap.realtime.mcap_recorder import McapRecorder
+from depthmocap.realtime.live_controls import LiveControls
 from depthmocap.realtime.status import CameraStatus
 from depthmocap.realtime.sync import SyncSettings
-from depthmocap.recordings.mcap_writer import McapWriter, check_name
+from depthmocap.realtime.take_recording import TakeRecording
+from depthmocap.recordings.mcap_writer import check_name
 from depthmocap.recordings.open_recording import open_recording
+from depthmocap.streaming.stream_protocol import Stream
 from depthmocap.text import joined
+
+if TYPE_CHECKING:
+    from depthmocap.viewing.live_page import LivePage
 
 #: Seconds from one drawing of the dashboard to the next.
 DRAW_S = 0.25
@@ -72,6 +82,10 @@ class LiveSettings(PipelineSettings, FileSettings):
     rate_hz: float | None = None
     triggered: bool = False
     stream: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    view: bool = False
+    host: str = "127.0.0.1"
+    port: int = 8080
+    open: bool = True
 
 
 @locks_outputs(folder="out")
@@ -93,21 +107,43 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> RunResul
     if settings.record is not None:
         check_name("--record", settings.record)
     with contextlib.ExitStack() as stack:
-        capture = stack.enter_context(_make_capture(settings, console))
+        page = _open_page(settings, stack) if settings.view else None
+        capture = _make_capture(settings, console, () if page is None else (page,))
+        files: PoseFiles | None = None
+        people_files: PeopleFiles | None = None
+        recording: TakeRecording | None = None
+        markers: Sequence[Marker] = ()
+
+        def write_held(poses: Sequence[Pose], of_people: Mapping[int, Sequence[Pose]]) -> None:
+            for pose in poses:
+                if files is not None:
+                    files.write(pose)
+            if people_files is not None:
+                people_files.write(of_people)
+
+        if isinstance(capture, LiveCapture):
+            recording = TakeRecording(capture)
+            if page is not None:
+                folder = settings.record.parent if settings.record else settings.out or Path()
+                page.controls = controls = LiveControls(capture, settings, recording, folder, write_held)
+                markers = controls.markers
+        stack.enter_context(capture)
+        if recording is not None and isinstance(capture, LiveCapture):
+            stack.enter_context(recording)
+            stack.callback(capture.stop)  # before a file is closed, into which cameras write
         if settings.record is not None:
-            if isinstance(capture, Replay):
+            if recording is None:
                 raise InputError("--record needs --realtime: played as fast as it goes, a recording is only read")
-            rig = Rig(tuple(capture.reader.cameras.values()), capture.up)
-            backgrounds = {name: raw for name, raw in capture.raw_backgrounds().items() if name in rig.names}
-            writer = stack.enter_context(McapWriter(settings.record, rig, backgrounds))
-            capture.reader.recorder = McapRecorder(writer, capture.reader.camera)
-            stack.callback(capture.stop)  # before the file is closed, into which cameras write
+            recording.begin(settings.record)
+        if page is not None:
+            console.print(f"• open {page.page.url} in a browser")
+            if settings.open:
+                page.page.open_browser()
         if settings.out is not None:
             remove_results(settings.out)
         take.up = capture.up
         files = stack.enter_context(PoseFiles(settings.out, take))
-        people_files = None
-        if settings.out is not None and settings.people > 1:
+        if settings.out is not None and (settings.people > 1 or page is not None):
             people_files = stack.enter_context(PeopleFiles(settings.out, take))
         if settings.seconds is not None and isinstance(capture, LiveCapture):
             capture.stop_after(settings.seconds)
@@ -120,14 +156,32 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> RunResul
                 f"machine that takes longest: try again{problems and f' ({problems})'}"
             )
         raise InputError(f"no set of frames came: {problems or 'are the cameras running?'}")
-    _report(files.summary, settings, console)
+    _report(files.summary, settings.out, recording.written if recording is not None else (), console)
     if settings.out is not None:
         for problem in write_more_formats(settings, settings.out):
             console.print(f"• {problem}")
+        if markers:
+            digest = read_result(settings.out, edited=False).edits.digest
+            write_edits(settings.out, Edits(digest, markers=tuple(markers)))
     return RunResult(settings.out, files.summary)
 
 
-def _make_capture(settings: LiveSettings, console: Console) -> LiveCapture | Replay:
+def _open_page(settings: LiveSettings, stack: contextlib.ExitStack) -> LivePage:
+    """The page of --view, served until the stack ends.
+
+    Raises:
+        InputError: when it cannot be served, or viser is not installed.
+    """
+    try:
+        from depthmocap.viewing.live_page import LivePage
+        from depthmocap.viewing.viewer_page import Page
+    except ModuleNotFoundError:
+        raise missing_extra("viser", "view") from None
+    return LivePage(stack.enter_context(Page(settings.host, settings.port, "depthmocap live")))
+
+
+def _make_capture(settings: LiveSettings, console: Console, viewers: Sequence[Stream]) -> LiveCapture | Replay:
+    """``viewers`` get every result, as the streams of the settings do."""
     make_pipeline = functools.partial(load_pipeline, settings=settings)
     rig = load_rig(settings.rig) if settings.rig else None
     sync = SyncSettings(settings.rate_hz or 30.0, settings.wait_ms, triggered=settings.triggered)
@@ -135,15 +189,17 @@ def _make_capture(settings: LiveSettings, console: Console) -> LiveCapture | Rep
         with console.status("reading the background and the weights"):
             recording = open_recording(Path(settings.sources[0]), rig)
             sync = dataclasses.replace(sync, rate_hz=settings.rate_hz or 1e9 / recording.period_ns)
-            if settings.stream:
-                raise InputError("--stream needs --realtime: played as fast as it goes, a recording is not live")
+            if settings.stream or viewers:
+                option = "--stream" if settings.stream else "--view"
+                raise InputError(f"{option} needs --realtime: played as fast as it goes, a recording is not live")
             return Replay(recording, sync, make_pipeline)
 
     def tell(line: str) -> None:
         console.print(f"• {line}")
 
     sources = make_sources(settings.sources, PlaybackClock(1.0), tell)
-    return LiveCapture(sources, rig, None, sync, settings.rate_hz is None, make_pipeline, tell, settings.stream)
+    streams = (*settings.stream, *viewers)
+    return LiveCapture(sources, rig, None, sync, settings.rate_hz is None, make_pipeline, tell, streams)
 
 
 def _write_poses(
@@ -217,15 +273,14 @@ def _finish_files(
     }
 
 
-def _report(summary: Summary, settings: LiveSettings, console: Console) -> None:
+def _report(summary: Summary, out: Path | None, recorded: Sequence[Path], console: Console) -> None:
     latency = summary["latency_ms"] or {"p50": float("nan"), "p95": float("nan")}
     console.print(
         f"{summary['frames']} poses in {summary['seconds']:.1f} s ({summary['frames_per_second']:.1f} a second), "
         f"{summary['sets_dropped']} sets dropped, {summary['sets_before_ready']} before it was ready; "
         f"latency {latency['p50']:.0f} ms (p95 {latency['p95']:.0f} ms)"
     )
-    for line in [*(unsure_lines(summary) if settings.out else []), *problem_lines(summary["problems"])]:
+    for line in [*(unsure_lines(summary) if out else []), *problem_lines(summary["problems"])]:
         console.print(f"• {line}")
-    for path in (settings.out, settings.record):
-        if path is not None:
-            console.print(f"written to {path}")
+    for path in (*([] if out is None else [out]), *recorded):
+        console.print(f"written to {path}")

@@ -20,6 +20,7 @@ from depthmocap.body.skeleton import BONES, JOINT_INDEX, JOINTS
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera, transform_points, z_up_from
 from depthmocap.geometry.transforms import unit
+from depthmocap.report.drawing import colour_labels
 from depthmocap.viewing.display_colours import distance_colours, line_colours, palette_colour
 from depthmocap.viewing.viewer_page import plain
 
@@ -29,11 +30,12 @@ Colour = tuple[int, int, int]
 NEAREST_M, FARTHEST_M = 0.5, 5.0
 #: Joints that leave a trail.
 TRAILING = ("Head", "RHand", "LHand", "RFoot", "LFoot")
-#: Poses that a trail shows.
-TRAIL_LENGTH = 30
+#: Poses, and nanoseconds, that a trail shows at most.
+TRAIL_LENGTH, TRAIL_NS = 30, 1_000_000_000
 _BONE_ENDS = np.array([[JOINT_INDEX[parent], JOINT_INDEX[child]] for parent, child in BONES])
 _TRAILING = [JOINT_INDEX[joint] for joint in TRAILING]
 _BACKGROUND = (23.0, 23.0, 28.0)
+_GREY = np.full(3, 130.0)
 _PLANES: dict[str, Literal["xy", "xz"]] = {"z": "xy", "y": "xz", "-y": "xz"}
 
 
@@ -97,25 +99,25 @@ class SceneDrawing:
         views: Sequence[View],
         colours: CloudColours,
         most: int,
-        labels: Sequence[UInt8[ndarray, "h w 3"] | None] = (),
+        labels: Sequence[UInt8[ndarray, "_ _"]] = (),
     ) -> None:
         """The cloud of all views, thinned to at most so many points.
 
         Args:
-            labels: of each view, a picture that colours its pixels; others are by depth.
+            labels: the body regions in each view, for colours by body part.
         """
         stride = stride_for(views, most)
         parts, part_colours = [], []
         for i, view in enumerate(views):
             points, depth_m, valid = camera_points(view, stride)
-            picture = labels[i] if i < len(labels) else None
-            if picture is not None:
-                shown = picture[::stride, ::stride][valid]
-            elif colours == "camera":
+            own = self.cameras.colour(view.camera.name) if colours == "camera" else _GREY
+            shown = distance_colours(depth_m.astype(np.float64), NEAREST_M, FARTHEST_M)
+            if colours != "depth":
                 near = 1.0 - 0.45 * np.clip((depth_m - NEAREST_M) / (FARTHEST_M - NEAREST_M), 0, 1)
-                shown = (near[:, None] * self.cameras.colour(view.camera.name)).astype(np.uint8)
-            else:
-                shown = distance_colours(depth_m.astype(np.float64), NEAREST_M, FARTHEST_M)
+                shown = (near[:, None] * own).astype(np.uint8)
+            if colours == "body part" and i < len(labels):
+                regions = labels[i][::stride, ::stride][valid]
+                shown = np.where(regions[:, None] > 0, colour_labels(regions[None])[0], shown)
             parts.append(points - self._origin.astype(np.float32))
             part_colours.append(shown)
         points = np.concatenate(parts) if parts else np.zeros((0, 3), np.float32)
@@ -156,6 +158,8 @@ class CamerasDrawing:
 
     def show_state(self, name: str, text: str, colour: Colour | None) -> None:
         """A line beside the camera's name, and its frustum's colour; None is the camera's own."""
+        if name not in self._frusta:
+            return
         frustum, label = self._frusta[name]
         shown = f"{plain(name)} {plain(text)}".strip()
         own = palette_colour(list(self._frusta).index(name))
@@ -257,7 +261,20 @@ class SkeletonDrawing:
 
 
 class Trail:
-    """The last poses of somebody, for :meth:`SkeletonDrawing.show_trails`."""
+    """The poses of somebody over the last moment, for :meth:`SkeletonDrawing.show_trails`.
+
+    Attributes:
+        poses: joints (m), the newest at the end.
+    """
 
     def __init__(self) -> None:
         self.poses: collections.deque[Float[ndarray, "18 3"]] = collections.deque(maxlen=TRAIL_LENGTH)
+        self._stamps_ns: collections.deque[int] = collections.deque(maxlen=TRAIL_LENGTH)
+
+    def add(self, joints: Float[ndarray, "18 3"], timestamp_ns: int) -> None:
+        """Add a pose; those that are older than a trail by this time are forgotten."""
+        self.poses.append(joints)
+        self._stamps_ns.append(timestamp_ns)
+        while abs(timestamp_ns - self._stamps_ns[0]) > TRAIL_NS:
+            self._stamps_ns.popleft()
+            self.poses.popleft()

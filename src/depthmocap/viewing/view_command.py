@@ -13,7 +13,7 @@ from depthmocap.core.console import Terminal
 from depthmocap.viewing.edit_controls import EditControls
 from depthmocap.viewing.take_page import TakePage
 from depthmocap.viewing.viewed_take import open_take
-from depthmocap.viewing.viewer_page import Page, open_browser
+from depthmocap.viewing.viewer_page import Page
 
 #: Where viewers listen.
 HOST, PORT = "127.0.0.1", 8080
@@ -57,6 +57,6 @@ def view(settings: ViewSettings, console: Console | None = None) -> None:
             console.print(f"• {note}")
         console.print(f"open {page.url} in a browser; Ctrl-C ends")
         if settings.open:
-            open_browser(page.url)
+            page.open_browser()
         while True:
             time.sleep(1.0)

@@ -72,6 +72,12 @@ class Page:
         with _quiet():
             self.server.stop()
 
+    def open_browser(self) -> bool:
+        """Open a browser with the page, unless only browsers in the terminal could; returns whether one was asked."""
+        if sys.platform not in ("win32", "darwin") and not {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ):
+            return False
+        return webbrowser.open(self.url)
+
     def tell(self, text: str, wrong: bool = False) -> None:
         """Show a line in every browser for a few seconds."""
         for client in self.server.get_clients().values():
@@ -118,12 +124,6 @@ def plain(text: str, most: int = LONGEST_LABEL) -> str:
 def as_html(text: str, most: int = LONGEST_LABEL) -> str:
     """Text from outside within HTML."""
     return html.escape(plain(text, most))
-
-
-def open_browser(url: str) -> bool:
-    """Open a browser with the page, unless only browsers in the terminal could; returns whether one was asked to."""
-    graphical = sys.platform in ("win32", "darwin") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    return bool(graphical) and webbrowser.open(url)
 
 
 def every(handle: Any, call: Callable[[], None]) -> None:

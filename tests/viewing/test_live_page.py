@@ -1,0 +1,209 @@
+"""The page of a capture, with browsers that read, that stall, and that send nonsense."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from samples import sample_of, standing_pose
+from viewer_client import ViewerClient
+
+from depthmocap.errors import InputError
+from depthmocap.frames import FrameSet
+from depthmocap.geometry import Rig
+from depthmocap.recordings.open_recording import open_recording
+from depthmocap.streaming.stream_protocol import Sample, StreamSetup
+from depthmocap.viewing.live_page import LivePage, camera_words, following, labels_in_views
+from depthmocap.viewing.live_plots import LivePlots
+from depthmocap.viewing.viewer_page import Page
+
+
+@dataclasses.dataclass
+class Status:
+    """How a camera does."""
+
+    name: str
+    state: str = "running"
+    rate_hz: float = 30.0
+    counts: dict[str, int] = dataclasses.field(default_factory=dict)
+
+
+class Controls:
+    """Notes what is asked of a capture."""
+
+    filters = ("none", "kalman", "one-euro")
+    dropped, problems = 3, {"camera <b> was lost": 2}
+
+    def __init__(self) -> None:
+        self.smoothing, self.people, self.poses = "kalman", 1, 0
+        self.recording: Path | None = None
+        self.asked: list[Any] = []
+
+    def statuses(self) -> list[Status]:
+        return [Status("cam0"), Status("cam1", rate_hz=12.0, counts={"late": 4}), Status("cam2", "was lost")]
+
+    def apart_m(self) -> dict[str, float]:
+        return {"cam0": 0.004}
+
+    def record(self, name: str) -> None:
+        if name == "bad":
+            raise InputError("cannot be a file's name")
+        self.recording = Path(f"{name}.mcap")
+
+    def stop_recording(self) -> None:
+        self.recording = None
+
+    def smooth(self, name: str) -> None:
+        self.smoothing = name
+
+    def follow(self, people: int) -> None:
+        self.people = people
+
+    def learn_background(self) -> None:
+        self.asked.append("background")
+
+    def mark(self, text: str, timestamp_ns: int | None = None) -> None:
+        self.asked.append((text, timestamp_ns))
+
+    def stop(self) -> None:
+        self.asked.append("stop")
+
+
+def until(true: Callable[[], bool]) -> bool:
+    """Wait for something to become true."""
+    end_s = time.monotonic() + 10
+    while not true() and time.monotonic() < end_s:
+        time.sleep(0.005)
+    return true()
+
+
+@pytest.fixture
+def frames(recording: Path) -> FrameSet:
+    return open_recording(recording)[0]
+
+
+@pytest.fixture
+def live() -> Iterator[LivePage]:
+    with Page("127.0.0.1", 0, "live") as page:
+        shown = LivePage(page)
+        shown.controls = Controls()
+        yield shown
+
+
+def begin(live: LivePage, frames: FrameSet) -> Callable[..., Sample]:
+    """Start a page with the cameras of a set; gives what makes its samples."""
+    live.start(StreamSetup(Rig(tuple(view.camera for view in frames.views))))
+
+    def sample(number: int, *others: float) -> Sample:
+        stamp = number * 33_000_000
+        poses = [standing_pose(stamp, x) for x in (0.0, *others)]
+        made = sample_of(*poses, frames=frames)
+        return dataclasses.replace(made, monotonic_ns=time.monotonic_ns() - 20_000_000)
+
+    return sample
+
+
+def test_what_comes_is_drawn_while_somebody_looks(live: LivePage, frames: FrameSet) -> None:
+    sample = begin(live, frames)
+    live.send(sample(0))
+    first, second, *_ = live._people
+    assert not first._bones.visible  # nobody looks
+    with ViewerClient(live.page) as client:
+        live.send(sample(1, 1.0))
+        assert first._bones.visible and second._bones.visible and first._trails.visible
+        assert np.allclose(second._bones.points - first._bones.points, [1.0, 0, 0], atol=1e-6)
+        assert live._drawing is not None and 5000 < len(live._drawing._cloud.points) <= 15_000
+        assert first._label.text == "person 1" and "2 in view · 3 sets left out" in live.status.content
+        assert "cam1: 12 Hz, 4 late" in live.status.content and "camera &lt;b&gt; was lost" in live.status.content
+        assert client.read() > 10_000
+    live.send(dataclasses.replace(sample(2), people={}))
+    live.close()
+    assert "has ended" in live.status.content
+
+
+def test_cloud_and_pictures_by_body_part(live: LivePage, frames: FrameSet) -> None:
+    sample = begin(live, frames)(0)
+    labels = tuple(np.full(view.depth_m.shape, 29, np.uint8) for view in frames.views)
+    person = dataclasses.replace(sample.result.people[0], labels=labels)
+    none = tuple(np.zeros_like(each) for each in labels)
+    sample = dataclasses.replace(sample, result=dataclasses.replace(sample.result, labels=none, people=(person,)))
+    assert all((each == 29).all() for each in labels_in_views(sample))
+    live.cloud.value, live.pictures.value = "by body part", "by body part"
+    with ViewerClient(live.page):
+        live.send(sample)
+    assert live._drawing is not None
+    assert len(np.unique(live._drawing._cloud.colors, axis=0)) == 1
+    assert all(picture.visible and max(picture.image.shape) <= 320 for picture in live._pictures.values())
+
+
+def test_clicks_reach_the_capture(live: LivePage, frames: FrameSet) -> None:
+    sample, controls = begin(live, frames), live.controls
+    assert isinstance(controls, Controls)
+    with ViewerClient(live.page) as client, ViewerClient(live.page):
+        live.send(sample(5))
+        client.set(live.record, True)
+        assert until(lambda: controls.recording == Path("take-1.mcap") and live.record.label == "Stop recording")
+        client.set(live.record, True)
+        assert until(lambda: controls.recording is None and live.file.value == "take-2")
+        client.set(live.file, "bad")
+        client.set(live.record, True)
+        client.set(live.mark_button, True)
+        assert until(lambda: controls.asked == [("trial 1", 5 * 33_000_000)] and live.marker.value == "trial 2")
+        client.set(live.smoothing, "one-euro")
+        client.set(live.count, 2)
+        assert until(lambda: (controls.smoothing, controls.people) == ("one-euro", 2))
+        client.set(live.background, True)
+        assert until(lambda: "background" in controls.asked)
+        client.set(live.stop, True)
+        assert until(lambda: live.stop.label == "Click again to stop") and "stop" not in controls.asked
+        client.set(live.stop, True)
+        assert until(lambda: "stop" in controls.asked)
+    assert controls.recording is None
+
+
+def test_a_browser_that_stalls_costs_nothing(live: LivePage, frames: FrameSet) -> None:
+    sample = begin(live, frames)
+    live.points.value = "50,000"
+    buffer = live.page.server._websock_server._broadcast_buffer
+    with ViewerClient(live.page), ViewerClient(live.page) as reader:  # the first never reads
+        live.send(sample(0))
+        messages, longest_s = len(buffer.message_from_id), 0.0
+        for i in range(1, 25):
+            live._next_s.clear()  # everything is drawn every time
+            start_s = time.monotonic()
+            live.send(sample(i))
+            longest_s = max(longest_s, time.monotonic() - start_s)
+            assert reader.read() > 0
+        assert longest_s < 2.0
+        assert len(buffer.message_from_id) < messages + 20  # nothing piles up
+        with ViewerClient(live.page) as rude:
+            rude.connection.send(b"\x00nonsense")
+            assert until(lambda: len(live.page.server.get_clients()) == 2)  # is cut off
+        live.send(sample(61))
+
+
+def test_words_of_cameras() -> None:
+    assert camera_words(Status("a"), 30.0, 0.012) == ("30 Hz, 12 mm from the others", None)
+    text, colour = camera_words(Status("a", rate_hz=15.0, counts={"missing": 2}), 30.0, None)
+    assert text == "15 Hz, 2 missing" and colour is not None
+    assert camera_words(Status("a", "no frames"), 30.0, np.nan)[0] == "no frames"
+
+
+def test_names_in_a_row() -> None:
+    assert [following(name) for name in ("trial 3", "take-9", "walk", "")] == ["trial 4", "take-10", "walk 2", " 2"]
+
+
+def test_rates_and_latencies_of_the_last_minute(live: LivePage) -> None:
+    plots = LivePlots(live.page.server.gui)
+    assert plots.words() == "measuring the rate"
+    for i in range(30 * 90):
+        plots.add(1000.0 + i / 30, 20.0 + (i % 30 == 0) * 30, i)
+    times_s, rates, latencies_ms = plots.series()
+    assert len(times_s) <= 61 and times_s[-1] == 0 and np.allclose(rates, 30)
+    assert np.allclose(latencies_ms, [20.0, 50.0])
+    assert plots.words() == "30 sets a second, 20 ms after the exposure"
