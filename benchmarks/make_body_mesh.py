@@ -16,7 +16,7 @@ import fast_simplification  # pyright: ignore[reportMissingImports]
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from depthmocap.body.skeleton import ANNY_BONES, BONES, JOINT_INDEX, JOINTS
 from depthmocap.geometry import rotation_between, z_up_from
@@ -79,7 +79,7 @@ def main(path: Path) -> None:
     points, faces = fast_simplification.simplify(
         vertices.astype(np.float32), model.faces.astype(np.int32), target_count=TRIANGLES
     )
-    distances, nearest = cKDTree(vertices).query(points, 3)
+    distances, nearest = KDTree(vertices).query(points, 3)
     shares = 1 / (distances + 1e-6)
     weights = np.einsum("vc,vcj->vj", shares, joint_weights(model)[nearest])
 

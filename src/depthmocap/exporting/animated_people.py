@@ -66,7 +66,7 @@ def animated_people(take: ExportedTake, settings: FileSettings) -> tuple[list[An
     people = []
     for number, (person, line) in enumerate(zip(take.people, lines, strict=True)):
         motion = solve_body(evenly_spaced(line, frames), settings.fill_s)
-        seen = np.flatnonzero(~np.isnan(motion.joints).any(-1).all(1))
+        seen = np.flatnonzero(~np.isnan(motion.joints).all((1, 2)))
         index = np.arange(frames.count)
         people.append(
             AnimatedPerson(
