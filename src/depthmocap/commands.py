@@ -93,7 +93,7 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "depthmocap.realtime.replay",
             "ReplaySettings",
             "replay",
-            "play a recording for Foxglove",
+            "play a recording, and what was found in it, for other programs",
         ),
     ),
     "Export": (

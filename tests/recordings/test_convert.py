@@ -246,7 +246,7 @@ class Heard(Topics):
 
 def test_replay_tells_everything_in_order(folder: Path) -> None:
     heard, recording = Heard(), Recording(folder)
-    assert play(recording, heard, PlaybackClock()) == 11
+    assert play(recording, [heard], PlaybackClock()) == 11
     kinds = [kind for kind, _ in heard.told]
     assert kinds[0] == "rig"
     assert (kinds.count("a"), kinds.count("b"), kinds.count("truth"), kinds.count("rig")) == (5, 6, 6, 1)
@@ -254,12 +254,6 @@ def test_replay_tells_everything_in_order(folder: Path) -> None:
 
 
 def test_replay_serves(folder: Path) -> None:
-    assert replay(ReplaySettings(folder, speed=100.0, port=0), QUIET) == 11
+    assert replay(ReplaySettings(folder, speed=100.0, stream=("foxglove://:0",)), QUIET) == 11
     with pytest.raises(InputError, match="--speed"):
         replay(ReplaySettings(folder, speed=0.0), QUIET)
-
-
-@pytest.mark.parametrize("port", [-1, 65536, 99999])
-def test_replay_serves_on_a_port_that_can_be(folder: Path, port: int) -> None:
-    with pytest.raises(InputError, match=f"--port must be from 0 to 65535, got {port}"):
-        replay(ReplaySettings(folder, speed=100.0, port=port), QUIET)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import socket
 import threading
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from fakes import Board, fake_pipeline
 from numpy import ndarray
-from receivers import OscReceiver, attempted, free_port, lsl, lsl_inlet, osc, wait_until
+from receivers import FoxgloveClient, OscReceiver, attempted, free_port, lsl, lsl_inlet, osc, wait_until
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
@@ -21,6 +22,7 @@ from depthmocap.exporting import read_csv
 from depthmocap.exporting.timeline import Y_UP_FROM_Z_UP
 from depthmocap.realtime import live_capture, live_command
 from depthmocap.realtime.live_command import LiveSettings, run_live
+from depthmocap.recordings.mcap_messages import read_fields, read_transform
 from depthmocap.recordings.recording_writer import RecordingWriter
 from depthmocap.streaming import lsl_stream
 from depthmocap.streaming.lsl_stream import LslStream
@@ -110,6 +112,35 @@ def test_by_lab_streaming_layer(recording: str, tmp_path: Path, lsl: Any, monkey
     rows = [int(np.abs(joints - np.reshape(sample, (18, 4))[:, :3]).max((1, 2)).argmin()) for sample in samples]
     np.testing.assert_allclose(np.diff(stamps), np.diff(times_s[rows]), atol=1e-6)
     assert 0 < lsl.local_clock() - stamps[-1] < 60
+
+
+def test_by_foxglove(recording: str, tmp_path: Path) -> None:
+    pytest.importorskip("foxglove")
+    port, clients = free_port(), list[FoxgloveClient]()
+    listener = threading.Thread(target=lambda: clients.append(FoxgloveClient(port)))
+    listener.start()
+    address = f"foxglove://127.0.0.1:{port}"
+    run_live(LiveSettings((recording,), out=tmp_path / "out", realtime=True, stream=(address,)))
+    listener.join()
+    clients[0].close()
+    sets = [
+        [read_transform(each).translation for each in read_fields(data)[1] if isinstance(each, bytes)]
+        for _, data in clients[0].of("/joints")
+    ]
+    check(np.array(sets), tmp_path / "out")
+    assert clients[0].of("/cam0/depth")
+
+
+@pytest.mark.parametrize("scheme", ["ws", "foxglove"])
+def test_a_port_that_is_taken_does_not_end_a_capture(recording: str, tmp_path: Path, scheme: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        address = f"{scheme}://127.0.0.1:{taken.getsockname()[1]}"
+        settings = LiveSettings((recording,), out=tmp_path / "out", realtime=True, stream=(address,))
+        summary = run_live(settings).summary
+    (problem,) = [problem for problem in summary["problems"] if "serve" in problem["text"]]
+    assert problem["text"].startswith(f"{address}: cannot serve on {address.split('//')[1]}: ")
+    assert problem["text"].endswith("; the capture goes on") and problem["times"] == 1
+    assert len(read_csv(tmp_path / "out" / "pose.csv")[0]) > 3
 
 
 def test_what_only_a_live_capture_can_send(recording: str) -> None:

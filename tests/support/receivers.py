@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
 import socket
+import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -106,3 +109,57 @@ def osc() -> Iterator[OscReceiver]:
     receiver = OscReceiver()
     yield receiver
     receiver.close()
+
+
+class FoxgloveClient:
+    """Speaks Foxglove's protocol over a WebSocket: keeps the messages of all topics, or of some.
+
+    Attributes:
+        messages: topic, log time (ns) and data, in order.
+        schemas: the name of every topic's schema.
+    """
+
+    def __init__(self, port: int, wanted: Callable[[str], bool] = lambda topic: True) -> None:
+        from websockets.sync.client import connect
+        from websockets.typing import Subprotocol
+
+        address = f"ws://127.0.0.1:{port}"
+        protocols = [Subprotocol("foxglove.sdk.v1")]
+        self._connection = wait_until(
+            lambda: attempted(lambda: connect(address, subprotocols=protocols, close_timeout=0.1))
+        )
+        self.messages: list[tuple[str, int, bytes]] = []
+        self.schemas: dict[str, str] = {}
+        self._wanted, self._topics = wanted, dict[int, str]()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        from websockets.exceptions import ConnectionClosed
+
+        with contextlib.suppress(ConnectionClosed):  # the SDK's server bids no farewell
+            self._read()
+
+    def _read(self) -> None:
+        for message in self._connection:
+            if isinstance(message, bytes):
+                if message[0] == 1:  # a message of a subscription
+                    number, stamp_ns = struct.unpack_from("<IQ", message, 1)
+                    self.messages.append((self._topics[number], stamp_ns, message[13:]))
+                continue
+            told = json.loads(message)
+            for channel in told["channels"] if told["op"] == "advertise" else ():
+                self.schemas[channel["topic"]] = channel["schemaName"]
+                if self._wanted(channel["topic"]):
+                    self._topics[channel["id"]] = channel["topic"]
+                    subscription = {"id": channel["id"], "channelId": channel["id"]}
+                    self._connection.send(json.dumps({"op": "subscribe", "subscriptions": [subscription]}))
+
+    def of(self, topic: str) -> list[tuple[int, bytes]]:
+        """Log times and data of a topic's messages, in order."""
+        return [(stamp_ns, data) for each, stamp_ns, data in list(self.messages) if each == topic]
+
+    def close(self) -> None:
+        """Leave."""
+        self._connection.close()
+        self._thread.join()

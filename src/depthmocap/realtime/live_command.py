@@ -67,9 +67,9 @@ class LiveSettings(PipelineSettings, FileSettings):
         wait_ms: how long a set waits for a camera that is late.
         rate_hz: sets a second; by default the fastest camera's rate.
         triggered: the cameras expose together, by a wire.
-        stream: send every result to another program as soon as it is known: osc://HOST:PORT, vmc://HOST:PORT,
-            ws://HOST:PORT (of this machine; 0.0.0.0 lets others connect), lsl://NAME (Lab Streaming Layer, whose ports
-            are open on all interfaces). May be given several times.
+        stream: send every result to another program as soon as it is known: osc://HOST:PORT, vmc://HOST:PORT, or
+            ws://HOST:PORT and foxglove://HOST:PORT of this machine (0.0.0.0 lets others connect), or lsl://NAME (Lab
+            Streaming Layer, whose ports are open on all interfaces). May be given several times.
     """
 
     sources: tyro.conf.Positional[tuple[str, ...]]

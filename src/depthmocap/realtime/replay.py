@@ -1,97 +1,199 @@
-"""``depthmocap replay``: plays a recording at its own speed for Foxglove, or any viewer of its protocol."""
+"""``depthmocap replay``: plays a recording at its own speed, and what was found in it, for other programs."""
 
 from __future__ import annotations
 
+import collections
 import dataclasses
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
 import tyro
 from rich.console import Console
 from rich.progress import Progress
 
+from depthmocap.body.skeleton import JOINTS
 from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.core.console import Terminal
+from depthmocap.core.settings import check_above_0
 from depthmocap.errors import InputError
+from depthmocap.exporting.stored_result import StoredResult, read_result
+from depthmocap.frames import FrameSet, Pose
+from depthmocap.geometry import Rig
+from depthmocap.offline.pipeline import PersonResult, Result
+from depthmocap.pose.cloud import merge_views
 from depthmocap.recordings.convert import timeline
-from depthmocap.recordings.mcap_writer import Topics, load_sdk
+from depthmocap.recordings.mcap_writer import Topics
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.recordings.recording import Recording
+from depthmocap.streaming.addresses import open_stream
+from depthmocap.streaming.foxglove_stream import DESCRIBE_NS, FoxgloveStream
+from depthmocap.streaming.outlets import Outlets
+from depthmocap.streaming.stream_protocol import Marker, StreamSetup
 
-#: Rig and calibration are sent again after so much recording time (ns), because viewers may connect at any time.
-_DESCRIBE_NS = 1_000_000_000
+#: Where a recording is shown if nothing else is said.
+FOXGLOVE = "foxglove://127.0.0.1:8765"
 
 
 @dataclasses.dataclass(frozen=True)
 class ReplaySettings:
-    """Play a recording for viewers: in Foxglove, open the connection ws://localhost:PORT.
+    """Play a recording, and the joints that were found in it, for other programs: by default for Foxglove, where you
+    open the connection ws://localhost:8765.
 
     Attributes:
         recording: a recording folder or an MCAP file.
+        result: a folder that run has written: its joints are played, with their corrections and markers.
+        stream: where to: foxglove://HOST:PORT shows the recording and the joints; osc://HOST:PORT, vmc://HOST:PORT,
+            ws://HOST:PORT and lsl://NAME take the joints, as those of live do. A server is for this machine;
+            0.0.0.0 lets others connect. May be given several times.
         speed: times its own speed.
-        host: address to serve on; 0.0.0.0 lets other machines watch.
-        port: of the server; 0 takes any that is free.
         loop: play it again and again, until Ctrl-C.
     """
 
     recording: tyro.conf.Positional[Path]
+    result: Path | None = None
+    stream: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     speed: float = 1.0
-    host: str = "127.0.0.1"
-    port: int = 8765
     loop: bool = False
 
 
+#: What is due at a time of the recording (ns).
+_Event = tuple[int, Callable[[], None]]
+
+
 def play(
-    recording: Recording, topics: Topics, playback_clock: PlaybackClock, advance: Callable[[], None] = lambda: None
+    recording: Recording,
+    topics: Sequence[Topics],
+    playback_clock: PlaybackClock,
+    advance: Callable[[], None] = lambda: None,
+    others: Sequence[_Event] = (),
 ) -> int:
-    """Publish every frame and the true joints when they are due; returns the number of readable frames."""
-    frames, described_ns = 0, None
-    truth = recording.truth_rows()
+    """Publish every frame and the true joints when they are due; returns the number of readable frames.
+
+    Args:
+        advance: is called with every frame.
+        others: what else is due, each before the frames of its time.
+    """
+    frames = 0
+
+    def describe(stamp: int) -> int:
+        for each in topics:
+            each.describe(stamp)
+        return stamp + DESCRIBE_NS
+
+    def tell_truth(stamp: int, joints: np.ndarray) -> None:
+        for each in topics:
+            each.truth(stamp, joints)
+
+    truth = [(stamp, lambda row=(stamp, joints): tell_truth(*row)) for stamp, joints in recording.truth_rows()]
+    waiting = collections.deque(sorted([*truth, *others], key=lambda event: event[0]))
+    due_ns: int | None = None
     for stamp, name in timeline(recording):
+        due_ns = describe(stamp) if due_ns is None or stamp >= due_ns else due_ns
+        while waiting and waiting[0][0] <= stamp:
+            _when_due(playback_clock, *waiting.popleft())
         while not playback_clock.wait(stamp, 1.0):
             pass
-        if described_ns is None or stamp - described_ns >= _DESCRIBE_NS:
-            topics.describe(stamp)
-            described_ns = stamp
-        while truth and truth[0][0] <= stamp:
-            topics.truth(*truth.pop(0))
         advance()
         try:
             raw = recording.raw(name, stamp)
         except InputError:
             continue
-        topics.depth(name, topics.image(name, stamp, raw), stamp)
+        for each in topics:
+            each.depth(name, each.image(name, stamp, raw), stamp)
         frames += 1
+    for event in waiting:
+        _when_due(playback_clock, *event)
     return frames
 
 
+def _when_due(playback_clock: PlaybackClock, stamp: int, act: Callable[[], None]) -> None:
+    while not playback_clock.wait(stamp, 1.0):
+        pass
+    act()
+
+
 def replay(settings: ReplaySettings, console: Console | None = None) -> int:
-    """Serve the recording; returns the number of frames of the last round.
+    """Play the recording; returns the number of frames of the last round.
 
     Raises:
-        InputError: when the path is no recording, the port is taken or impossible, or the speed is not positive.
+        InputError: when the path is no recording, the result is none or of another recording, the speed is not
+            positive, or a stream cannot start.
     """
     console = console or Terminal(stderr=True)
-    if not settings.speed > 0:
-        raise InputError(f"--speed must be positive, got {settings.speed}")
-    if not 0 <= settings.port <= 65535:
-        raise InputError(f"--port must be from 0 to 65535, got {settings.port}")
+    check_above_0({"--speed": settings.speed})
     recording = open_recording(settings.recording)
-    sdk = load_sdk()
-    context = sdk.Context()
+    result = None if settings.result is None else read_result(settings.result)
+    if result is not None:
+        _check_times(recording, result)
+    streams = [open_stream(address) for address in settings.stream or (FOXGLOVE,)]
+    shows = [stream for stream in streams if isinstance(stream, FoxgloveStream)]
+    if result is None and len(shows) < len(streams):
+        other = next(stream.name for stream in streams if stream not in shows)
+        raise InputError(f"{other} takes joints: tell with --result which run's")
+    rig = recording.rig if result is None else Rig(recording.rig.cameras, result.up)
+    outlets = Outlets(streams, lambda line: console.print(f"• {line}"))
+    people = 1 if result is None else max(len(result.people), 1)
+    outlets.start(StreamSetup(rig, people, console.print), at_once=True)
     try:
-        server = sdk.start_server(host=settings.host, port=settings.port, name=settings.recording.name, context=context)
-    except RuntimeError as error:
-        raise InputError(f"cannot serve on {settings.host}:{settings.port} ({error}): choose another --port") from None
-    topics = Topics(sdk, context, recording.rig, "raw")
-    console.print(f"open ws://{settings.host}:{server.port} in Foxglove; Ctrl-C ends")
-    try:
+        console.print("Ctrl-C ends")
         with Progress(console=console) as progress:
             task = progress.add_task("playing", total=len(timeline(recording)))
             while True:
-                frames = play(recording, topics, PlaybackClock(settings.speed), lambda: progress.advance(task))
+                others = [] if result is None else _events(result, outlets, settings.speed)
+                frames = play(
+                    recording, [stream.topics for stream in shows], PlaybackClock(settings.speed),
+                    lambda: progress.advance(task), others,
+                )  # fmt: skip
                 progress.reset(task)
                 if not settings.loop:
                     return frames
     finally:
-        server.stop()
+        outlets.close()
+
+
+def _check_times(recording: Recording, result: StoredResult) -> None:
+    """Raise InputError unless poses of the result are within the times of the recording."""
+    stamps = [stamp for stamp, _ in timeline(recording)]
+    tables = [person.table for person in result.people]
+    if not any(((table.stamps_ns >= stamps[0]) & (table.stamps_ns <= stamps[-1])).any() for table in tables):
+        raise InputError(
+            f"none of the times in {result.folder} are within the recording: it is of another one, or was captured live"
+        )
+
+
+def _events(result: StoredResult, outlets: Outlets, speed: float) -> list[_Event]:
+    """What of a result is due when."""
+    poses_by_stamp: dict[int, dict[int, Pose]] = {}
+    for person in result.people:
+        for pose in person.table.poses():
+            poses_by_stamp.setdefault(pose.timestamp_ns, {})[person.number] = pose
+    stamps = sorted(poses_by_stamp)
+    begun: list[int] = []
+
+    def due_ns(stamp: int) -> int:
+        """On this machine's clock."""
+        if not begun:
+            begun.append(time.monotonic_ns() - round((stamp - stamps[0]) / speed))
+        return begun[0] + round((stamp - stamps[0]) / speed)
+
+    def send(stamp: int) -> None:
+        outlets.send(_result(stamp, poses_by_stamp[stamp]), FrameSet(stamp, ()), stamp, due_ns(stamp))
+
+    def mark(text: str, stamp: int) -> None:
+        outlets.mark(Marker(text, stamp, due_ns(stamp)))
+
+    poses: list[_Event] = [(stamp, lambda stamp=stamp: send(stamp)) for stamp in stamps]
+    return poses + [
+        (each.timestamp_ns, lambda each=each: mark(each.text, each.timestamp_ns)) for each in result.markers
+    ]
+
+
+def _result(stamp: int, poses: dict[int, Pose]) -> Result:
+    """What is left of a result: joints alone, of those who are there."""
+    cloud = merge_views([])
+    there = {number: pose for number, pose in poses.items() if np.isfinite(pose.joints).any()}
+    people = tuple(PersonResult(number, pose, (), (), cloud) for number, pose in sorted(there.items()))
+    nobody = Pose(stamp, np.full((len(JOINTS), 3), np.nan), np.zeros(len(JOINTS)))
+    return Result(people[0].pose if people else nobody, (), (), cloud, {}, people)

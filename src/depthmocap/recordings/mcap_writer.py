@@ -248,11 +248,18 @@ class Topics:
             timestamp=timestamp, frame_id=name, width=width, height=height, encoding="16UC1", step=2 * width, data=data
         )
 
+    def is_watched(self, name: str) -> bool:
+        """Whether anybody would get a picture of the camera."""
+        return self._depth_channel(name, SHARED_CLOCK).has_sinks()
+
     def depth(self, name: str, image: Any, log_time_ns: int, clock: str = SHARED_CLOCK) -> None:
         """Log a picture that ``image`` made. The channel keeps the clock of its first frame."""
+        self._depth_channel(name, clock).log(image, log_time=log_time_ns)
+
+    def _depth_channel(self, name: str, clock: str) -> Any:
         if name not in self._depth:
             self._depth[name] = self._images(self.rig[name], "depth", clock)
-        self._depth[name].log(image, log_time=log_time_ns)
+        return self._depth[name]
 
     def truth(self, timestamp_ns: int, joints: Float[ndarray, "18 3"]) -> None:
         """Log the true joints (metres, the rig's world)."""

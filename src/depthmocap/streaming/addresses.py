@@ -19,6 +19,7 @@ _STREAMS: dict[str, tuple[str, str, int | None]] = {
     "vmc": ("depthmocap.streaming.vmc_stream", "VmcStream", 39539),
     "ws": ("depthmocap.streaming.websocket_stream", "WebSocketStream", 8770),
     "lsl": ("depthmocap.streaming.lsl_stream", "LslStream", None),
+    "foxglove": ("depthmocap.streaming.foxglove_stream", "FoxgloveStream", 8765),
 }
 #: Characters of a name.
 _LONGEST_NAME = 100
