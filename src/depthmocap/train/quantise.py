@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 #: Operations in 8 bits. The head is not among them: it is small, since only the person's pixels have one.
 _KINDS = ["Conv", "Relu", "Add", "Concat", "Reshape", "Transpose", "Gather"]
+#: Those of the network that finds people.
+_PEOPLE_KINDS = ["Conv", "Relu", "Add"]
 
 
 def _joint_nodes(model: onnx.ModelProto) -> list[str]:
@@ -46,21 +48,52 @@ def quantise(source: Path, windows: Sequence[Float32[ndarray, "3 _ _"]], path: P
     """Write an ONNX classifier of ours with the convolutions of ``source`` in 8 bits.
 
     The joints' part stays in float except for convolutions of more than one pixel: positions need more than 8 bits.
-    Ranges of activations are those on ``windows``, from training data. Weights are scaled channel by channel and
-    use 7 of their 8 bits, because older processors' sums overflow otherwise; inputs, outputs and metadata stay as they
-    are.
+    Ranges of activations are those on ``windows``, from training data; see :func:`_in_integers`.
+    """
+    return _in_integers(source, "windows", windows, _KINDS, _joint_nodes, path)
+
+
+def quantise_people(source: Path, pictures: Sequence[Float32[ndarray, "8 rows columns"]], path: Path) -> Path:
+    """Write an ONNX network that finds people with the convolutions of ``source`` in 8 bits, except for the last.
+
+    Ranges of activations are those on ``pictures``, inputs of one size from training data; see :func:`_in_integers`.
+    """
+    return _in_integers(source, "cells", pictures, _PEOPLE_KINDS, _last_convolution, path)
+
+
+def _last_convolution(model: onnx.ModelProto) -> list[str]:
+    """The convolution that makes the output: logits and metres need more than 8 bits."""
+    return [node.name for node in model.graph.node if node.op_type == "Conv"][-1:]
+
+
+def _in_integers(
+    source: Path,
+    name: str,
+    inputs: Sequence[ndarray],
+    kinds: list[str],
+    kept_in_float: Callable[[onnx.ModelProto], list[str]],
+    path: Path,
+) -> Path:
+    """Write a network with operations of some kinds in 8 bits.
+
+    Weights are scaled channel by channel and use 7 of their 8 bits, because older processors' sums overflow otherwise;
+    inputs, outputs and metadata stay as they are.
+
+    Args:
+        name: of the network's input.
+        kept_in_float: names of nodes that are left as they are.
     """
     import onnx
     import onnxruntime
     from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
 
-    class Windows(CalibrationDataReader):
+    class Inputs(CalibrationDataReader):
         def __init__(self) -> None:
-            self._open = iter(windows)
+            self._open = iter(inputs)
 
         def get_next(self) -> dict[str, ndarray] | None:  # pyright: ignore[reportIncompatibleMethodOverride] - None ends it
-            window = next(self._open, None)
-            return None if window is None else {"windows": window[None]}
+            item = next(self._open, None)
+            return None if item is None else {name: item[None]}
 
     with tempfile.TemporaryDirectory() as folder:
         # The runtime's own pass folds the casts behind which weights are stored in fp16.
@@ -74,9 +107,9 @@ def quantise(source: Path, windows: Sequence[Float32[ndarray, "3 _ _"]], path: P
         logging.disable(logging.WARNING)  # advice about a pass that has just been made
         try:
             quantize_static(
-                plain, integer, Windows(), quant_format=QuantFormat.QDQ, per_channel=True, reduce_range=True,
+                plain, integer, Inputs(), quant_format=QuantFormat.QDQ, per_channel=True, reduce_range=True,
                 activation_type=QuantType.QUInt8, weight_type=QuantType.QInt8,
-                op_types_to_quantize=_KINDS, nodes_to_exclude=_joint_nodes(onnx.load(plain)),
+                op_types_to_quantize=kinds, nodes_to_exclude=kept_in_float(onnx.load(plain)),
             )  # fmt: skip
         finally:
             logging.disable(logging.NOTSET)

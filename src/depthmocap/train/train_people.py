@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,8 @@ _OFFSET_WEIGHT = 1.0
 #: A person of fewer samples than this weighs more, by the square root of how many fewer, at most so many times:
 #: otherwise nobody learns what a small child or a far person is.
 _FEW_SAMPLES, _MOST_WEIGHT = 400, 3.0
+#: So many batches tell the ranges of the network's values, for its 8 bits.
+_RANGE_BATCHES = 8
 #: Scenes between which pictures are mixed.
 _MIXED = 120
 #: Settings that may change when a run is resumed, besides those of every run.
@@ -183,11 +186,13 @@ class _Run(TrainingRun[PeopleNet, list[PeopleExample]]):
             "false_in_empty": float(torch.cat(empties).mean()),
         }  # fmt: skip
 
-    def export(self) -> Path:
-        """Write the averaged weights as .safetensors and ONNX; returns the ONNX file."""
+    def export(self, examples: Iterable[PeopleExample]) -> Path:
+        """Write the averaged weights as .safetensors and, in 8 bits by the ranges on examples, as ONNX, which it
+        returns."""
         network = self.averaged.cpu().eval()
         save_weights(network, self.settings.out / "people.safetensors")
-        return export_people_onnx(network, self.settings.out / "people.onnx", {"images": str(self.images)})
+        pictures = [example.inputs for example in examples]
+        return export_people_onnx(network, self.settings.out / "people.onnx", {"images": str(self.images)}, pictures)
 
 
 def _tensors(examples: Sequence[PeopleExample], device: str) -> tuple[Tensor, Tensor, Tensor]:
@@ -240,4 +245,4 @@ def train_people(settings: PeopleTraining) -> Path:
     run_training(run, training, lambda: run.validate(valid))
     run.add_row(run.validate(valid))
     run.write_history()
-    return run.export()
+    return run.export(example for batch in itertools.islice(training, _RANGE_BATCHES) for example in batch)
