@@ -166,7 +166,7 @@ class Recording(FrameSource):
         Raises:
             InputError: when it cannot be read, is damaged or does not have the camera's size.
         """
-        return read_depth_png(self._files[name][stamp], self.rig[name])
+        return read_depth_png(camera_folder(self.path, name) / self._files[name][stamp], self.rig[name])
 
     def raw_background(self, name: str) -> UInt16[ndarray, "h w"] | None:
         """Raw depth of the empty scene; None if the camera has no background frame."""
