@@ -11,6 +11,7 @@ from viewed import COMES_AT, SETS
 
 from depthmocap.body.skeleton import MIRROR
 from depthmocap.errors import InputError
+from depthmocap.exporting import read_trc
 from depthmocap.exporting.edits import EDITS_FILE, Edits, write_edits
 from depthmocap.exporting.stored_result import read_result
 from depthmocap.viewing.edit_controls import EditControls
@@ -123,3 +124,17 @@ def test_what_cannot_be_is_told_and_changes_nothing(
     controls._told(controls._set_marker)()
     assert "cannot be joined" in told[0] and "by somebody else" in told[1] and len(told) == 2
     assert not (result / EDITS_FILE).exists()
+
+
+def test_the_part_that_was_chosen_is_exported(controls: EditControls, result: Path) -> None:
+    controls.first.value, controls.last.value = 2, 6
+    controls._trim()
+    choose(controls.format, "trc")
+    controls._export()
+    times_s, *_ = read_trc(result / "export" / "person-1" / "pose.trc")
+    assert len(times_s) == 5
+    controls._export()  # into the same folder again
+    for name, message in (("../elsewhere", "cannot be a folder's name"), ("person-1", "not made by an export")):
+        choose(controls.folder, name)
+        with pytest.raises(InputError, match=message):
+            controls._export()

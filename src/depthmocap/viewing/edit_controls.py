@@ -5,12 +5,17 @@ from __future__ import annotations
 import dataclasses
 import threading
 from collections.abc import Callable, Sequence
+from typing import get_args
 
 import viser
 
+from depthmocap.core.camera_names import safe_name
+from depthmocap.core.console import Terminal
 from depthmocap.core.locks import lock_folder
 from depthmocap.errors import InputError
 from depthmocap.exporting.edits import EDITS_FILE, LONGEST_NAME, Edit, Edits, Marker, read_edits, write_edits
+from depthmocap.exporting.export_command import EXPORT_FILE, ExportSettings, export
+from depthmocap.exporting.file_settings import FormatName
 from depthmocap.exporting.stored_result import StoredResult
 from depthmocap.viewing.take_page import TakePage, person_choice
 from depthmocap.viewing.viewer_page import as_html, every, plain
@@ -54,12 +59,17 @@ class EditControls:
                 self.mark = gui.add_button("Set it at this frame")
                 self.markers: viser.GuiDropdownHandle[str] = gui.add_dropdown("Set", (NOBODY,))
                 self.marked = gui.add_button_group("It", ("go there", "remove"))
+            with gui.add_folder("Export, with these corrections"):
+                self.format = gui.add_dropdown("Format", get_args(FormatName))
+                self.folder = gui.add_text("Folder", "export", hint="in the folder of the results")
+                self.export = gui.add_button("Export", icon=viser.Icon.DOWNLOAD)
         for handle, call in (
             (self.undo, self._undo), (self.here, self._take_frame),
             (self.exchange, lambda: self._over_span("exchange")),
             (self.delete, lambda: self._over_span("delete")), (self.trim, self._trim), (self.split, self._split),
             (self.join, self._join), (self.remove, lambda: self._add(Edit("delete", self._number(self.person)))),
             (self.naming, self._give_name), (self.mark, self._set_marker), (self.marked, self._use_marker),
+            (self.export, self._export),
         ):  # fmt: skip
             every(handle, self._told(call))
         self._refresh()
@@ -189,3 +199,14 @@ class EditControls:
         else:
             left: Sequence[Marker] = [marker for marker in self._edits.markers if marker != chosen[0]]
             self._change(dataclasses.replace(self._edits, markers=tuple(left)))
+
+    def _export(self) -> None:
+        name = self.folder.value.strip()
+        if name != safe_name(name):
+            raise InputError(f"{name!r} cannot be a folder's name: call it {safe_name(name)!r}")
+        folder, chosen = self._original.folder, self.format.value
+        settings = ExportSettings(folder, folder / name, formats=(chosen,))
+        if settings.out.exists() and not (settings.out / EXPORT_FILE).exists():
+            raise InputError(f"{settings.out} was not made by an export: choose another name")
+        paths = export(settings, Terminal(quiet=True))
+        self._view.page.tell(f"{len(paths)} files written to {settings.out}")
