@@ -105,7 +105,7 @@ class LiveCapture:
         self.statistics, self._extrinsics_check = RunStatistics(), ExtrinsicsCheck()
         self._outlets = Outlets(streams, self.reader.problems.add)
         #: Adds to a time of ``time.monotonic_ns`` to give nanoseconds since 1970.
-        self._day_ns = time.time_ns() - time.monotonic_ns()
+        self.unix_minus_monotonic_ns = time.time_ns() - time.monotonic_ns()
         #: Number of sets without a pose, because they came while the pipeline was prepared.
         self.sets_before_ready = 0
         self.up = rig.up if rig else (sources[0].up if sources else "z")
@@ -165,7 +165,7 @@ class LiveCapture:
     def mark(self, text: str) -> None:
         """Send a marker, such as "trial 3", to the streams that take markers, with the present time."""
         now_ns = time.monotonic_ns()
-        self._outlets.mark(Marker(text, now_ns + self._day_ns, now_ns))
+        self._outlets.mark(Marker(text, now_ns + self.unix_minus_monotonic_ns, now_ns))
 
     @property
     def problems(self) -> dict[str, int]:
@@ -215,7 +215,7 @@ class LiveCapture:
         delay = self._pipeline.smoothing.delay_frames if self._pipeline.smoothing else 0
         if self.statistics.poses >= delay:
             exposed_ns = result.pose.timestamp_ns
-            self._outlets.send(result, frames, exposed_ns + self._day_ns, exposed_ns)
+            self._outlets.send(result, frames, exposed_ns + self.unix_minus_monotonic_ns, exposed_ns)
 
     def _make_warm_pipeline(self, frames: FrameSet) -> Pipeline:
         """Make the default pipeline and warm it up with the first set."""

@@ -1,0 +1,226 @@
+"""What streams cost a capture: a recording played in real time without and with them, in turns in one run.
+
+    python benchmarks/stream_cost.py [--recording PATH] [--streams osc ws] [--rounds 3] [--json FILE]
+
+prints CPU time a set, sets a second and sets left out of both, their ratio, and of each stream the time from the last
+exposure of a set to the arrival of its packet in another process of this machine. Trust the ratio more than the
+milliseconds. Receivers read every message and do nothing else; their CPU time is not counted.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import multiprocessing
+import socket
+import time
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from depthmocap.cameras.playback_clock import PlaybackClock
+from depthmocap.cameras.registry import make_sources
+from depthmocap.core.output import write_json
+from depthmocap.offline.pipeline import Pipeline, warm_up
+from depthmocap.offline.pipeline_settings import load_pipeline
+from depthmocap.realtime.live_capture import LiveCapture
+from depthmocap.recordings.open_recording import open_recording, packaged_recording
+
+Scheme = Literal["osc", "vmc", "ws", "foxglove"]
+
+
+@dataclasses.dataclass(frozen=True)
+class StreamCost:
+    """Settings.
+
+    Attributes:
+        recording: played in real time; by default the packaged one.
+        streams: that run at the same time.
+        rounds: of each.
+        json: also write all numbers to this file.
+    """
+
+    recording: Path = dataclasses.field(default_factory=packaged_recording)
+    streams: tuple[Scheme, ...] = ("osc", "ws")
+    rounds: int = 3
+    json: Path | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Round:
+    """One playing of the recording.
+
+    Attributes:
+        cpu_ms: CPU time of this process, by set.
+        latencies_ms: of each stream, from the last exposure of every set to the arrival of its packet.
+    """
+
+    sets: int
+    seconds: float
+    dropped: int
+    cpu_ms: float
+    latencies_ms: dict[str, list[float]]
+
+
+#: Exposure (microseconds since 1970) and arrival (ns of the machine's monotonic clock) of every set.
+_Arrivals = dict[int, int]
+
+
+def _listen_osc(pipe: Connection) -> None:
+    """Receive by OSC until told to end; VMC tells no exposure, so that its sets are counted in order."""
+    from pythonosc.dispatcher import Dispatcher
+    from pythonosc.osc_server import BlockingOSCUDPServer
+
+    arrivals: _Arrivals = {}
+    dispatcher = Dispatcher()
+
+    def take(_: str, seconds: int, nanoseconds: int) -> None:
+        arrivals.setdefault((seconds * 10**9 + nanoseconds) // 1000, time.monotonic_ns())
+
+    def take_bones(_: str, seconds: float) -> None:
+        arrivals[len(arrivals)] = time.monotonic_ns()
+
+    dispatcher.map("/depthmocap/time", take)
+    dispatcher.map("/VMC/Ext/T", take_bones)
+    with BlockingOSCUDPServer(("127.0.0.1", 0), dispatcher) as server:
+        server.timeout = 0.2
+        pipe.send(server.server_address[1])
+        while not pipe.poll():
+            server.handle_request()
+    pipe.send(arrivals)
+
+
+def _listen_ws(pipe: Connection, protocol: str = "") -> None:
+    """Connect, and receive until the server ends."""
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+    from websockets.typing import Subprotocol
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    pipe.send(port)
+    arrivals: _Arrivals = {}
+    while not pipe.poll():
+        try:
+            connection = connect(
+                f"ws://127.0.0.1:{port}", subprotocols=[Subprotocol(protocol)] if protocol else None, close_timeout=0.1
+            )
+            break
+        except OSError:
+            time.sleep(0.01)
+    else:
+        return pipe.send(arrivals)
+    with contextlib.suppress(ConnectionClosed), connection:
+        for message in connection:
+            now_ns = time.monotonic_ns()
+            if isinstance(message, bytes):  # Foxglove's, of a subscription
+                arrivals.setdefault(int.from_bytes(message[5:13], "little") // 1000, now_ns)
+                continue
+            told = json.loads(message)
+            if "unix_s" in told:
+                arrivals.setdefault(round(told["unix_s"] * 1e6), now_ns)
+            for channel in told.get("channels", ()):
+                subscription = {"id": channel["id"], "channelId": channel["id"]}
+                connection.send(json.dumps({"op": "subscribe", "subscriptions": [subscription]}))
+    return pipe.send(arrivals)
+
+
+def _listen_foxglove(pipe: Connection) -> None:
+    _listen_ws(pipe, "foxglove.sdk.v1")
+
+
+_LISTENERS: dict[Scheme, Callable[[Connection], None]] = {
+    "osc": _listen_osc, "vmc": _listen_osc, "ws": _listen_ws, "foxglove": _listen_foxglove,
+}  # fmt: skip
+
+
+@contextlib.contextmanager
+def _receivers(schemes: Sequence[Scheme]) -> Iterator[tuple[list[str], dict[str, _Arrivals]]]:
+    """Receivers in processes of their own: the addresses of the streams, and at the end what arrived."""
+    context, arrived = multiprocessing.get_context("spawn"), dict[str, _Arrivals]()
+    started, addresses = [], []
+    for scheme in schemes:
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_LISTENERS[scheme], args=(theirs,), daemon=True)
+        process.start()
+        started.append((scheme, process, ours))
+        addresses.append(f"{scheme}://127.0.0.1:{ours.recv()}")
+    yield addresses, arrived
+    for scheme, process, pipe in started:
+        pipe.send(None)
+        arrived[scheme] = pipe.recv()
+        process.join()
+
+
+def play(recording: Path, pipeline: Pipeline, schemes: Sequence[Scheme]) -> Round:
+    """Play the recording once."""
+    pipeline.reset()
+    exposed_ns: dict[int, int] = {}
+    with _receivers(schemes) as (addresses, arrived):
+        sources = make_sources([str(recording)], PlaybackClock(1.0))
+        with LiveCapture(sources, pipeline=pipeline, streams=addresses) as capture:
+            time.sleep(1.0 if schemes else 0.0)  # until everybody is connected: sets meanwhile are left out
+            capture.reader.reset_dropped()
+            start_s, cpu_s = time.monotonic(), time.process_time()
+            for live in capture:
+                exposed_ns[(live.pose.timestamp_ns + capture.unix_minus_monotonic_ns) // 1000] = max(
+                    live.synced.times_ns.values()
+                )
+            seconds, cpu_s = time.monotonic() - start_s, time.process_time() - cpu_s
+            dropped = capture.dropped
+    latencies = {
+        scheme: [
+            (arrived[scheme][key] - last_ns) * 1e-6 for key, last_ns in exposed_ns.items() if key in arrived[scheme]
+        ]
+        for scheme in schemes
+    }
+    return Round(len(exposed_ns), seconds, dropped, cpu_s * 1e3 / max(len(exposed_ns), 1), latencies)
+
+
+def measure(settings: StreamCost) -> dict[str, list[Round]]:
+    """Rounds without and with streams, in turns."""
+    source = open_recording(settings.recording)
+    pipeline = warm_up(load_pipeline(source), source[0])
+    rounds: dict[str, list[Round]] = {"without": [], "with": []}
+    for _ in range(settings.rounds):
+        rounds["without"].append(play(settings.recording, pipeline, ()))
+        rounds["with"].append(play(settings.recording, pipeline, settings.streams))
+    return rounds
+
+
+def main(settings: StreamCost) -> None:
+    """Measure and print."""
+    console, rounds = Console(), measure(settings)
+    table = Table(title=f"{settings.rounds} times {settings.recording.name}, {' and '.join(settings.streams)}")
+    for column in ("", "CPU ms a set", "sets a second", "sets left out"):
+        table.add_column(column, justify="right" if column else "left")
+    cpu_ms = {}
+    for name, played in rounds.items():
+        cpu_ms[name] = float(np.median([each.cpu_ms for each in played]))
+        rate = np.median([each.sets / each.seconds for each in played])
+        table.add_row(name, f"{cpu_ms[name]:.1f}", f"{rate:.1f}", str(sum(each.dropped for each in played)))
+    console.print(table)
+    console.print(f"with streams {cpu_ms['with'] / cpu_ms['without']:.2f} times the CPU of without")
+    latencies = {
+        scheme: [value for each in rounds["with"] for value in each.latencies_ms[scheme]] for scheme in settings.streams
+    }
+    for scheme, values in latencies.items():
+        if values:
+            p50, p95 = np.quantile(values, [0.5, 0.95])
+            console.print(f"{scheme}: last exposure to arrival p50 {p50:.1f}, p95 {p95:.1f} ms, {len(values)} sets")
+    if settings.json is not None:
+        write_json(
+            settings.json, {name: [dataclasses.asdict(each) for each in played] for name, played in rounds.items()}
+        )
+
+
+if __name__ == "__main__":
+    main(tyro.cli(StreamCost, description=__doc__))
