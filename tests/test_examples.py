@@ -107,3 +107,9 @@ def test_training(run: Run, tmp_path: Path) -> None:
 def test_own_estimator(run: Run, tmp_path: Path) -> None:
     own, votes = (numbers(line)[-1] for line in run("09_own_estimator.py", beginning(tmp_path, 1)))
     assert votes < own < 15
+
+
+def test_own_stream(run: Run, tmp_path: Path) -> None:
+    lines = run("10_own_stream.py", beginning(tmp_path, 4))
+    assert lines and all(line.startswith("person 1: ") and line.endswith(" m/s") for line in lines)
+    assert all(0 <= numbers(line)[-1] < 10 for line in lines)
