@@ -18,6 +18,7 @@ from depthmocap.core.output import make_inner_folder, write_json
 from depthmocap.core.version import __version__
 from depthmocap.errors import InputError
 from depthmocap.exporting.body_motion import solve_body
+from depthmocap.exporting.edits import Marker
 from depthmocap.exporting.exported_take import ExportedTake, exported_take
 from depthmocap.exporting.file_formats import FORMATS, check_formats
 from depthmocap.exporting.file_settings import FileSettings, FormatName
@@ -41,8 +42,8 @@ class ExportSettings(FileSettings):
     Attributes:
         result: the folder of results.
         out: another folder, for the files.
-        formats: of the files: csv, trc, bvh and npz for every person, c3d and glb with everybody in one file.
-        least_confidence: joints below it are gaps in csv, trc, c3d and npz, and are held in bvh and glb.
+        formats: of the files: csv, trc, bvh and npz for every person; c3d, glb and usd with everybody in one file.
+        least_confidence: joints below it are gaps in csv, trc, c3d and npz, and are held in bvh, glb and usd.
     """
 
     result: tyro.conf.Positional[Path]
@@ -126,15 +127,20 @@ def write_formats(result: StoredResult, settings: FileSettings, formats: Sequenc
     return paths
 
 
-def write_more_formats(settings: FileSettings, folder: Path) -> list[str]:
+def write_more_formats(settings: FileSettings, folder: Path, markers: Sequence[Marker] = ()) -> list[str]:
     """Write the formats of a new take that are not yet in its folder; returns problems, one line each, for the take
-    itself is there in any case. CSV adds columns to pose.csv, in which all joints stay as they were measured."""
+    itself is there in any case. CSV adds columns to pose.csv, in which all joints stay as they were measured.
+
+    Args:
+        markers: instants that were named while the take was made.
+    """
     formats: list[FormatName] = [name for name in settings.formats if name not in WRITTEN_FORMATS]
     if not formats and not settings.fill_s:
         return []
     try:
         with deferred_interrupts():
             result = read_result(folder, edited=False)
+            result = result.edited(dataclasses.replace(result.edits, markers=tuple(markers)))
             if "csv" in formats:
                 everything = dataclasses.replace(settings, least_confidence=0.0, fill_s=0.0)
                 write_formats(result, everything, ["csv"], folder)

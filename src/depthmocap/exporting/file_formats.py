@@ -44,6 +44,7 @@ FORMATS: dict[FormatName, FileFormat] = {
     "npz": FileFormat("pose_npz", "write_npz"),
     "c3d": FileFormat("c3d", "write_c3d", together=True, needs=("ezc3d", "ezc3d")),
     "glb": FileFormat("glb", "write_glb", together=True),
+    "usd": FileFormat("usd", "write_usd", together=True, needs=("pxr", "usd-core")),
 }
 
 

@@ -158,7 +158,7 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> RunResul
         raise InputError(f"no set of frames came: {problems or 'are the cameras running?'}")
     _report(files.summary, settings.out, recording.written if recording is not None else (), console)
     if settings.out is not None:
-        for problem in write_more_formats(settings, settings.out):
+        for problem in write_more_formats(settings, settings.out, markers):
             console.print(f"• {problem}")
         if markers:
             digest = read_result(settings.out, edited=False).edits.digest
