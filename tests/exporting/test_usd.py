@@ -46,8 +46,8 @@ def test_joints_and_skin(made: tuple[Any, np.ndarray], person: int) -> None:
     root = skel.Root(stage.GetPrimAtPath(f"/take/person_{person + 1}"))
     cache = skel.Cache()
     assert cache.Populate(root, pxr("Usd").PrimDefaultPredicate)
-    query = cache.GetSkelQuery(skel.Skeleton(root.GetPrim().GetChild("skeleton")))
-    mesh = geometry.Mesh(root.GetPrim().GetChild("body"))
+    query = cache.GetSkelQuery(skel.Skeleton(root.GetPrim().GetChild(f"person_{person + 1}_skeleton")))
+    mesh = geometry.Mesh(root.GetPrim().GetChild(f"person_{person + 1}_body"))
     skinning = cache.GetSkinningQuery(mesh.GetPrim())
     bone_joints = [bone.joint for bone in bones_of("unity")]
     for frame in (SECOND[0], SECOND[3], SECOND[-1]):

@@ -91,13 +91,13 @@ def _add_person(stage: Any, path: Any, person: AnimatedPerson) -> None:
     for bone in skeleton.bones:
         own = _identifier(bone.name)
         joints.append(f"{joints[bone.parent]}/{own}" if bone.parent >= 0 else own)
-    skel = UsdSkel.Skeleton.Define(stage, path.AppendChild("skeleton"))
+    skel = UsdSkel.Skeleton.Define(stage, path.AppendChild(f"{path.name}_skeleton"))
     skel.CreateJointsAttr(joints)
     skel.CreateJointNamesAttr([bone.name for bone in skeleton.bones])
     skel.CreateBindTransformsAttr(_translations(skeleton.rest_positions))
     skel.CreateRestTransformsAttr(_translations(skeleton.offsets))
 
-    animation = UsdSkel.Animation.Define(stage, path.AppendChild("animation"))
+    animation = UsdSkel.Animation.Define(stage, path.AppendChild(f"{path.name}_animation"))
     animation.CreateJointsAttr(joints)
     translations = np.tile(skeleton.offsets, (len(skeleton.root), 1, 1))
     translations[:, skeleton.hips] = skeleton.root
@@ -117,7 +117,7 @@ def _add_mesh(stage: Any, path: Any, person: AnimatedPerson, skel: Any) -> None:
     Gf, UsdGeom, UsdSkel, Vt = _pxr("Gf", "UsdGeom", "UsdSkel", "Vt")
 
     surface = person.surface
-    mesh = UsdGeom.Mesh.Define(stage, path.AppendChild("body"))
+    mesh = UsdGeom.Mesh.Define(stage, path.AppendChild(f"{path.name}_body"))
     points = person.vertices_at_rest
     mesh.CreatePointsAttr(_vectors(points))
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(surface.faces), 3, np.int32)))
