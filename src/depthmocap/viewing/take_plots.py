@@ -17,6 +17,8 @@ AROUND_S = 2.0
 OVERVIEW = 400
 #: Most instants that a plot has.
 _MOST = 1000
+#: Of the scale of confidence.
+_TOP = 1.05
 _AXES = ("x", "y", "z")
 _COLOURS = {"x": "#ff6b6b", "y": "#6bd48a", "z": "#6ba8ff"}
 _GRID: viser.uplot.Axis = {"stroke": "#b8b8c0", "grid": {"stroke": "#3c3c46", "width": 1}, "size": 42}
@@ -25,7 +27,7 @@ _NO_TIME: dict[str, viser.uplot.Scale] = {"x": {"time": False}}
 
 
 def _line(label: str, colour: str, dash: tuple[float, ...] = (), width: float = 1.5) -> viser.uplot.Series:
-    series: viser.uplot.Series = {"label": label, "stroke": colour, "width": width}
+    series: viser.uplot.Series = {"label": label, "stroke": colour, "width": width, "points": {"show": False}}
     if dash:
         series["dash"] = dash
     return series
@@ -37,6 +39,19 @@ def binned(values: Float[ndarray, " t"], bins: Int[ndarray, " t"], count: int) -
     known = np.isfinite(values)
     np.minimum.at(lowest, bins[known], values[known])
     return np.where(np.isinf(lowest), np.nan, lowest)
+
+
+def drawable(*columns: Float[ndarray, " n"]) -> tuple[Float[ndarray, " n"], ...]:
+    """Columns of a plot that begin with a number each: by NaN there the plot would find no scale. That one point, with
+    nothing beside it, is not drawn."""
+    known = [column[np.isfinite(column)][:1] for column in columns]
+    other = np.concatenate([*known, np.zeros(1)])[0]
+    begun = []
+    for column, first in zip(columns, known, strict=True):
+        if len(column) and not np.isfinite(column[0]):
+            column = np.concatenate([first if len(first) else [other], column[1:]])
+        begun.append(column.astype(np.float64))
+    return tuple(begun)
 
 
 class TakePlots:
@@ -60,13 +75,13 @@ class TakePlots:
         self._confidence = gui.add_uplot(
             (blank, unknown), ({"label": "s"}, _line("confidence", "#ffd166")), title="confidence of the joint",
             height=110,
-            scales={"x": {"time": False, "range": (-AROUND_S, AROUND_S)}, "y": {"range": (0.0, 1.05)}},
+            scales={"x": {"time": False, "range": (-AROUND_S, AROUND_S)}, "y": {"range": (0.0, _TOP)}},
             axes=(_TIME_AXIS, _GRID), legend={"show": False},
         )  # fmt: skip
         self._overview = gui.add_uplot(
             (blank, unknown, unknown),
             ({"label": "s"}, _line("lowest confidence", "#ffd166"), _line("now", "#ffffff", width=2.0)),
-            title="whole take: confidence", height=110, scales={"x": {"time": False}, "y": {"range": (0.0, 1.05)}},
+            title="whole take: confidence", height=110, scales={"x": {"time": False}, "y": {"range": (0.0, _TOP)}},
             axes=(_TIME_AXIS, _GRID), legend={"show": False},
         )  # fmt: skip
         self._error: viser.GuiUplotHandle | None = None
@@ -83,12 +98,15 @@ class TakePlots:
         """Plot another take, or the same after corrections; ``number`` is the person whose confidence is shown."""
         self._take = take
         columns = min(OVERVIEW, len(take))
-        span_s = max(float(take.times_s[-1]), 1e-9)
-        self._bins = np.minimum((take.times_s / span_s * columns).astype(np.int64), columns - 1)
-        self._bin_times_s = (np.arange(columns) + 0.5) * span_s / columns if columns > 1 else np.zeros(1)
-        self._lowest = binned(take.confidence(number), self._bins, columns)
+        self._bins = np.arange(len(take)) * columns // len(take)
+        self._bin_times_s = take.times_s[np.searchsorted(self._bins, np.arange(columns))]
+        # Who is not seen has no confidence.
+        self._lowest = np.nan_to_num(binned(take.confidence(number), self._bins, columns))
         if self._error is not None:
             self._errors_cm = -binned(-100 * take.error_m(number), self._bins, columns)
+            known = self._errors_cm[np.isfinite(self._errors_cm)]
+            self._top_cm = max(float(known.max()) if len(known) else 0.0, 1.0)
+            self._error.scales = {"x": {"time": False}, "y": {"range": (0.0, 1.05 * self._top_cm)}}
         self._shown_bin = -1
 
     def show(self, index: int, joint: str, person: ViewedPerson | None) -> None:
@@ -112,22 +130,19 @@ class TakePlots:
                 twin = next((each for each in take.beside if each.number == number), take.beside[0])
                 other = twin.series(int(first), int(end))[0][:, column]
             parts.append(other)
-        columns = tuple(part[:, axis].astype(np.float64) for part in parts for axis in range(3))
-        self._joint.data = (times_s, *columns)
-        self._confidence.data = (times_s, confidence.astype(np.float64))
+        self._joint.data = (times_s, *drawable(*(part[:, axis] for part in parts for axis in range(3))))
+        self._confidence.data = (times_s, np.nan_to_num(confidence).astype(np.float64))
 
     def _show_overview(self, now: int) -> None:
         if now == self._shown_bin:
             return
         self._shown_bin = now
-        self._overview.data = (self._bin_times_s, self._lowest, self._cursor(now, 1.0))
+        self._overview.data = (self._bin_times_s, self._lowest, self._cursor(now, _TOP))
         if self._error is not None:
-            known = self._errors_cm[np.isfinite(self._errors_cm)]
-            top = float(known.max()) if len(known) else 1.0
-            self._error.data = (self._bin_times_s, self._errors_cm, self._cursor(now, top))
+            self._error.data = (self._bin_times_s, *drawable(self._errors_cm), self._cursor(now, self._top_cm))
 
     def _cursor(self, now: int, top: float) -> Float[ndarray, " n"]:
-        """A line from the bottom to the top at a column."""
-        cursor = np.full(len(self._bin_times_s), np.nan)
-        cursor[now], cursor[min(now + 1, len(cursor) - 1)] = 0.0, top
+        """A line upright at a column; elsewhere it is below what is shown."""
+        cursor = np.full(len(self._bin_times_s), -100 * top)
+        cursor[now] = 100 * top
         return cursor
