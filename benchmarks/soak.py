@@ -65,6 +65,7 @@ class SoakSettings:
         rate_hz: frame rate of the cameras.
         faults: simulate faults of the cameras.
         record: also record, to a folder that is deleted at the end.
+        stream: addresses to which every result is sent, as by ``live --stream``; may be given several times.
         folder: where that folder is made; by default the system's folder for temporary files.
         json: file for all numbers.
     """
@@ -75,6 +76,7 @@ class SoakSettings:
     rate_hz: float = 30.0
     faults: bool = True
     record: bool = True
+    stream: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     folder: Path | None = None
     json: Path | None = None
 
@@ -214,7 +216,9 @@ def soak(settings: SoakSettings, folder: Path, console: Console) -> dict[str, An
     zero_ns = time.monotonic_ns() + 500_000_000
     cameras = [SimulatedCamera(simulation, name, zero_ns) for name in rig.names]
     memory: list[tuple[float, float]] = []
-    capture = LiveCapture(cameras, rig, pipeline, SyncSettings(settings.rate_hz), measure_rate=False)
+    capture = LiveCapture(
+        cameras, rig, pipeline, SyncSettings(settings.rate_hz), measure_rate=False, streams=settings.stream
+    )
     capture.reader.recorder = recorder
     with console.status(f"running for {settings.minutes:g} minutes"), capture:
         begun, cpu = time.monotonic(), time.process_time()

@@ -2,9 +2,9 @@
 
     python benchmarks/stream_cost.py [--recording PATH] [--streams osc ws] [--rounds 3] [--json FILE]
 
-prints CPU time a set, sets a second and sets left out of both, their ratio, and of each stream the time from the last
-exposure of a set to the arrival of its packet in another process of this machine. Trust the ratio more than the
-milliseconds. Receivers read every message and do nothing else; their CPU time is not counted.
+prints CPU time a set, sets a second and sets left out of both, and their ratio; of each stream the CPU time of sending
+a sample, and the time from the last exposure of a set to the arrival of its packet in another process of this machine.
+Trust ratios more than milliseconds. Receivers read every message and do nothing else; their CPU time is not counted.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import tyro
@@ -27,11 +27,14 @@ from rich.table import Table
 
 from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.cameras.registry import make_sources
-from depthmocap.core.output import write_json
+from depthmocap.core.output import plain_json, write_json
+from depthmocap.geometry import Rig
 from depthmocap.offline.pipeline import Pipeline, warm_up
 from depthmocap.offline.pipeline_settings import load_pipeline
 from depthmocap.realtime.live_capture import LiveCapture
 from depthmocap.recordings.open_recording import open_recording, packaged_recording
+from depthmocap.streaming.addresses import open_stream
+from depthmocap.streaming.stream_protocol import Sample, Stream, StreamSetup
 
 Scheme = Literal["osc", "vmc", "ws", "foxglove"]
 
@@ -58,6 +61,7 @@ class Round:
     """One playing of the recording.
 
     Attributes:
+        sample: the last one.
         cpu_ms: CPU time of this process, by set.
         latencies_ms: of each stream, from the last exposure of every set to the arrival of its packet.
     """
@@ -67,9 +71,10 @@ class Round:
     dropped: int
     cpu_ms: float
     latencies_ms: dict[str, list[float]]
+    sample: Sample
 
 
-#: Exposure (microseconds since 1970) and arrival (ns of the machine's monotonic clock) of every set.
+#: Exposure (milliseconds since 1970) and arrival (ns of the machine's monotonic clock) of every set.
 _Arrivals = dict[int, int]
 
 
@@ -82,7 +87,7 @@ def _listen_osc(pipe: Connection) -> None:
     dispatcher = Dispatcher()
 
     def take(_: str, seconds: int, nanoseconds: int) -> None:
-        arrivals.setdefault((seconds * 10**9 + nanoseconds) // 1000, time.monotonic_ns())
+        arrivals.setdefault(round(seconds * 1e3 + nanoseconds * 1e-6), time.monotonic_ns())
 
     def take_bones(_: str, seconds: float) -> None:
         arrivals[len(arrivals)] = time.monotonic_ns()
@@ -122,11 +127,11 @@ def _listen_ws(pipe: Connection, protocol: str = "") -> None:
         for message in connection:
             now_ns = time.monotonic_ns()
             if isinstance(message, bytes):  # Foxglove's, of a subscription
-                arrivals.setdefault(int.from_bytes(message[5:13], "little") // 1000, now_ns)
+                arrivals.setdefault(round(int.from_bytes(message[5:13], "little") * 1e-6), now_ns)
                 continue
             told = json.loads(message)
             if "unix_s" in told:
-                arrivals.setdefault(round(told["unix_s"] * 1e6), now_ns)
+                arrivals.setdefault(round(told["unix_s"] * 1e3), now_ns)
             for channel in told.get("channels", ()):
                 subscription = {"id": channel["id"], "channelId": channel["id"]}
                 connection.send(json.dumps({"op": "subscribe", "subscriptions": [subscription]}))
@@ -155,23 +160,48 @@ def _receivers(schemes: Sequence[Scheme]) -> Iterator[tuple[list[str], dict[str,
         addresses.append(f"{scheme}://127.0.0.1:{ours.recv()}")
     yield addresses, arrived
     for scheme, process, pipe in started:
-        pipe.send(None)
+        with contextlib.suppress(BrokenPipeError):  # it has seen that the server ended
+            pipe.send(None)
         arrived[scheme] = pipe.recv()
         process.join()
+
+
+class _Newest(Stream):
+    """Keeps the newest sample."""
+
+    sample: Sample
+
+    def send(self, sample: Sample) -> None:
+        self.sample = sample
+
+
+def send_ms(scheme: Scheme, sample: Sample, rig: Rig, times: int = 200) -> float:
+    """CPU time of sending a sample to somebody who receives it, again and again."""
+    with _receivers([scheme]) as (addresses, _):
+        stream = open_stream(addresses[0])
+        stream.start(StreamSetup(rig))
+        time.sleep(1.0)  # until the receiver is connected
+        begun_s = time.process_time()
+        for i in range(times):
+            stream.send(dataclasses.replace(sample, unix_ns=sample.unix_ns + i * 33_000_000))
+        spent_s = time.process_time() - begun_s
+        stream.close()
+    return spent_s * 1e3 / times
 
 
 def play(recording: Path, pipeline: Pipeline, schemes: Sequence[Scheme]) -> Round:
     """Play the recording once."""
     pipeline.reset()
     exposed_ns: dict[int, int] = {}
+    newest = _Newest()
     with _receivers(schemes) as (addresses, arrived):
         sources = make_sources([str(recording)], PlaybackClock(1.0))
-        with LiveCapture(sources, pipeline=pipeline, streams=addresses) as capture:
+        with LiveCapture(sources, pipeline=pipeline, streams=[newest, *addresses]) as capture:
             time.sleep(1.0 if schemes else 0.0)  # until everybody is connected: sets meanwhile are left out
             capture.reader.reset_dropped()
             start_s, cpu_s = time.monotonic(), time.process_time()
             for live in capture:
-                exposed_ns[(live.pose.timestamp_ns + capture.unix_minus_monotonic_ns) // 1000] = max(
+                exposed_ns[round((live.pose.timestamp_ns + capture.unix_minus_monotonic_ns) * 1e-6)] = max(
                     live.synced.times_ns.values()
                 )
             seconds, cpu_s = time.monotonic() - start_s, time.process_time() - cpu_s
@@ -182,7 +212,7 @@ def play(recording: Path, pipeline: Pipeline, schemes: Sequence[Scheme]) -> Roun
         ]
         for scheme in schemes
     }
-    return Round(len(exposed_ns), seconds, dropped, cpu_s * 1e3 / max(len(exposed_ns), 1), latencies)
+    return Round(len(exposed_ns), seconds, dropped, cpu_s * 1e3 / max(len(exposed_ns), 1), latencies, newest.sample)
 
 
 def measure(settings: StreamCost) -> dict[str, list[Round]]:
@@ -209,17 +239,19 @@ def main(settings: StreamCost) -> None:
         table.add_row(name, f"{cpu_ms[name]:.1f}", f"{rate:.1f}", str(sum(each.dropped for each in played)))
     console.print(table)
     console.print(f"with streams {cpu_ms['with'] / cpu_ms['without']:.2f} times the CPU of without")
-    latencies = {
-        scheme: [value for each in rounds["with"] for value in each.latencies_ms[scheme]] for scheme in settings.streams
-    }
-    for scheme, values in latencies.items():
-        if values:
-            p50, p95 = np.quantile(values, [0.5, 0.95])
-            console.print(f"{scheme}: last exposure to arrival p50 {p50:.1f}, p95 {p95:.1f} ms, {len(values)} sets")
-    if settings.json is not None:
-        write_json(
-            settings.json, {name: [dataclasses.asdict(each) for each in played] for name, played in rounds.items()}
+    last, rig = rounds["with"][-1].sample, open_recording(settings.recording).rig
+    numbers: dict[str, Any] = {"cpu_ms": cpu_ms, "streams": {}}
+    for scheme in settings.streams:
+        values = [value for each in rounds["with"] for value in each.latencies_ms[scheme]]
+        p50, p95 = np.quantile(values, [0.5, 0.95]).tolist() if values else (float("nan"), float("nan"))
+        cost_ms = send_ms(scheme, last, rig)
+        numbers["streams"][scheme] = {"p50_ms": p50, "p95_ms": p95, "cpu_ms": cost_ms, "sets": len(values)}
+        console.print(
+            f"{scheme}: {cost_ms:.2f} ms of CPU a sample, {cost_ms / cpu_ms['without']:.1%} of a set; last exposure to "
+            f"arrival p50 {p50:.1f}, p95 {p95:.1f} ms ({len(values)} sets)"
         )
+    if settings.json is not None:
+        write_json(settings.json, plain_json(numbers))
 
 
 if __name__ == "__main__":

@@ -61,13 +61,13 @@ def look_at(
 def rotation_between(a: Float[ndarray, "*n 3"], b: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3 3"]:
     """Shortest rotation that takes direction ``a`` to direction ``b`` (neither needs unit length)."""
     a, b = a.astype(np.float64), b.astype(np.float64)  # near 180° single precision is not enough
-    a = a / np.linalg.norm(a, axis=-1, keepdims=True)
-    b = b / np.linalg.norm(b, axis=-1, keepdims=True)
-    axis = np.cross(a, b)
+    a, b = (each / np.sqrt((each * each).sum(-1, keepdims=True)) for each in (a, b))
     cos = (a * b).sum(-1)[..., None, None]
-    zero = np.zeros(axis.shape[:-1])
-    x, y, z = np.moveaxis(axis, -1, 0)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*axis.shape[:-1], 3, 3)
+    ax, ay, az, bx, by, bz = (each[..., i] for each in (a, b) for i in range(3))
+    x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    cross = np.zeros((*x.shape, 3, 3))
+    cross[..., 2, 1], cross[..., 0, 2], cross[..., 1, 0] = x, y, z
+    cross[..., 1, 2], cross[..., 2, 0], cross[..., 0, 1] = -x, -y, -z
     opposite = cos < -1 + 1e-9  # 180° about any perpendicular axis
     rotation = np.eye(3) + cross + cross @ cross / np.where(opposite, 1.0, 1 + cos)
     if opposite.any():
