@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
+import math
 import shutil
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,6 +14,12 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
+from live_fakes import Controls
+from samples import sample_of, standing_pose
+
+from depthmocap.geometry import Rig
+from depthmocap.recordings.open_recording import open_recording
+from depthmocap.streaming.stream_protocol import StreamSetup
 
 pytestmark = pytest.mark.slow
 _SOFTWARE = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
@@ -77,3 +87,41 @@ def test_a_take_in_a_browser(browser: Any, result: Path) -> None:
         assert until(lambda: not seen.add(view.player.index) and len(seen) > 3)
         assert not faults
         assert asked - {None, ""} == {"127.0.0.1"}
+
+
+def test_a_capture_in_a_browser(browser: Any, recording: Path) -> None:
+    from depthmocap.viewing.live_page import LivePage
+    from depthmocap.viewing.viewer_page import Page
+
+    frames, controls = open_recording(recording)[0], Controls()
+    ended = threading.Event()
+
+    def send() -> None:
+        """Somebody who walks, at twenty sets a second."""
+        for i in itertools.count():
+            if ended.wait(0.05):
+                return
+            sample = sample_of(standing_pose(i * 50_000_000, 0.5 * math.sin(i / 10)), frames=frames)
+            live.send(dataclasses.replace(sample, monotonic_ns=time.monotonic_ns()))
+
+    with Page("127.0.0.1", 0, "live") as served:
+        live = LivePage(served)
+        live.controls = controls
+        live.start(StreamSetup(Rig(tuple(view.camera for view in frames.views))))
+        sender = threading.Thread(target=send, daemon=True)
+        sender.start()
+        page, asked = browser.new_page(viewport={"width": 1200, "height": 800}), set[str | None]()
+        page.on("request", lambda request: asked.add(urlsplit(request.url).hostname))
+        page.goto(served.url)
+        page.get_by_text("1 in view").wait_for(timeout=60_000)
+        assert until(moved(page, page.locator("canvas").first.screenshot()))
+        page.get_by_role("button", name="Set marker").click()
+        page.get_by_role("button", name="Record", exact=True).click()
+        assert until(lambda: controls.recording == Path("take-1.mcap"))
+        assert [text for text, _ in controls.asked] == ["trial 1"]
+        page.close()  # and the capture goes on
+        stamp = live._stamp_ns
+        assert until(lambda: live._stamp_ns != stamp)
+        ended.set()
+        sender.join(5)
+    assert asked - {None, ""} == {"127.0.0.1"}

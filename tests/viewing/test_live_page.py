@@ -6,14 +6,13 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from live_fakes import Controls, Status
 from samples import sample_of, standing_pose
 from viewer_client import ViewerClient
 
-from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet
 from depthmocap.geometry import Rig
 from depthmocap.recordings.open_recording import open_recording
@@ -21,57 +20,6 @@ from depthmocap.streaming.stream_protocol import Sample, StreamSetup
 from depthmocap.viewing.live_page import LivePage, camera_words, following, labels_in_views
 from depthmocap.viewing.live_plots import LivePlots
 from depthmocap.viewing.viewer_page import Page
-
-
-@dataclasses.dataclass
-class Status:
-    """How a camera does."""
-
-    name: str
-    state: str = "running"
-    rate_hz: float = 30.0
-    counts: dict[str, int] = dataclasses.field(default_factory=dict)
-
-
-class Controls:
-    """Notes what is asked of a capture."""
-
-    filters = ("none", "kalman", "one-euro")
-    dropped, problems = 3, {"camera <b> was lost": 2}
-
-    def __init__(self) -> None:
-        self.smoothing, self.people, self.poses = "kalman", 1, 0
-        self.recording: Path | None = None
-        self.asked: list[Any] = []
-
-    def statuses(self) -> list[Status]:
-        return [Status("cam0"), Status("cam1", rate_hz=12.0, counts={"late": 4}), Status("cam2", "was lost")]
-
-    def apart_m(self) -> dict[str, float]:
-        return {"cam0": 0.004}
-
-    def record(self, name: str) -> None:
-        if name == "bad":
-            raise InputError("cannot be a file's name")
-        self.recording = Path(f"{name}.mcap")
-
-    def stop_recording(self) -> None:
-        self.recording = None
-
-    def smooth(self, name: str) -> None:
-        self.smoothing = name
-
-    def follow(self, people: int) -> None:
-        self.people = people
-
-    def learn_background(self) -> None:
-        self.asked.append("background")
-
-    def mark(self, text: str, timestamp_ns: int | None = None) -> None:
-        self.asked.append((text, timestamp_ns))
-
-    def stop(self) -> None:
-        self.asked.append("stop")
 
 
 def until(true: Callable[[], bool]) -> bool:
