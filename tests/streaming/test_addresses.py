@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from depthmocap.errors import InputError
-from depthmocap.streaming.addresses import open_stream
+from depthmocap.streaming.addresses import open_stream, place
 
 
 @pytest.mark.parametrize(
@@ -50,3 +50,7 @@ def test_a_missing_package_is_told_with_its_extra(
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(InputError, match=rf"^this needs the package '{package}': pip install 'depthmocap\[stream\]'$"):
         open_stream(address)
+
+
+def test_a_host_with_colons_is_in_brackets() -> None:
+    assert (place("::1", 80), place("localhost", 80)) == ("[::1]:80", "localhost:80")

@@ -59,3 +59,8 @@ def _host_and_port(address: str, usual_port: int) -> tuple[str, int]:
     if parts != SplitResult(parts.scheme, parts.netloc, "", "", "") or "@" in parts.netloc or re.search(r"\s", address):
         raise InputError(f"the address {address!r} has more than a host and a port")
     return parts.hostname or LOCAL_HOST, port
+
+
+def place(host: str, port: int) -> str:
+    """Host and port as they are in an address."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

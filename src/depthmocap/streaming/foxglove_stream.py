@@ -24,6 +24,7 @@ from depthmocap.errors import InputError
 from depthmocap.frames import Pose, View
 from depthmocap.pose.cloud import LabelledCloud
 from depthmocap.recordings.mcap_writer import WORLD, Topics, load_sdk
+from depthmocap.streaming.addresses import place
 from depthmocap.streaming.stream_protocol import Marker, Sample, Stream, StreamSetup
 
 #: Rig and calibration are sent again after so much time (ns), because viewers may connect at any time.
@@ -77,8 +78,9 @@ class FoxgloveStream(Stream):
                 name="depthmocap", host=self._host, port=self._port, context=context, message_backlog_size=_BACKLOG
             )
         except RuntimeError as error:
-            raise InputError(f"cannot serve on {self._host}:{self._port}: {error}") from None
-        setup.tell(f"open ws://{self._host}:{self.port} in Foxglove")
+            reason = str(error).removeprefix("FoxgloveError: ").removeprefix("Failed to bind port: ")
+            raise InputError(f"cannot serve on {place(self._host, self._port)}: {reason}") from None
+        setup.tell(f"open ws://{place(self._host, self.port)} in Foxglove")
 
     def send(self, sample: Sample) -> None:
         """See :class:`Stream`."""

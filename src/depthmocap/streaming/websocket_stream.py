@@ -40,6 +40,7 @@ from numpy import ndarray
 
 from depthmocap.body.skeleton import BONES, JOINTS
 from depthmocap.errors import InputError, missing_extra
+from depthmocap.streaming.addresses import place
 from depthmocap.streaming.stream_protocol import Marker, Sample, Stream, StreamSetup
 
 #: Version of the messages; it increases when a key is removed or changes its meaning.
@@ -137,8 +138,8 @@ class WebSocketStream(Stream):
             self._end()
             number = error.errno or 0
             reason = os.strerror(number) if number > 0 else error.strerror  # asyncio's own texts are longer
-            raise InputError(f"cannot serve on {self._host}:{self._port}: {reason}") from None
-        setup.tell(f"JSON for whoever connects to ws://{self._host}:{self.port}")
+            raise InputError(f"cannot serve on {place(self._host, self._port)}: {reason}") from None
+        setup.tell(f"JSON for whoever connects to ws://{place(self._host, self.port)}")
 
     def send(self, sample: Sample) -> None:
         """See :class:`Stream`."""
