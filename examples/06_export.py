@@ -10,9 +10,13 @@ import depthmocap
 
 
 def main(recording: Path, out: Path) -> None:
-    """Write OUT/take/pose.csv, .trc and .bvh, then the first half of it again by hand."""
+    """Write OUT/take/pose.csv, .trc and .bvh, OUT/files of other formats, then the first half of it again by hand."""
     result = depthmocap.run(depthmocap.RunSettings(recording, out / "take", report=False))
     print(f"{result.frames} frames, {result.gaps} without a person")
+
+    # As `depthmocap export`: a body that moves, for a browser or Blender, and arrays with rotations.
+    paths = depthmocap.export(depthmocap.ExportSettings(out / "take", out / "files", formats=("glb", "npz")))
+    print(*paths)
 
     poses = result.poses()
     half = poses[: len(poses) // 2]

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from depthmocap.cameras.registry import open_camera
     from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, FrameTimeoutError
     from depthmocap.exporting import read_csv, write_bvh, write_csv, write_trc
+    from depthmocap.exporting.export_command import ExportSettings, export
     from depthmocap.exporting.run_result import RunResult
     from depthmocap.offline.pipeline import PersonResult, Pipeline, Result
     from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline, open_source
@@ -54,6 +55,7 @@ _LAZY = {
     "depthmocap.cameras.registry": ("open_camera",),
     "depthmocap.cameras.source": ("CameraError", "DepthFrame", "DepthSource", "FrameTimeoutError"),
     "depthmocap.exporting": ("read_csv", "write_bvh", "write_csv", "write_trc"),
+    "depthmocap.exporting.export_command": ("ExportSettings", "export"),
     "depthmocap.exporting.run_result": ("RunResult",),
     "depthmocap.offline.pipeline": ("PersonResult", "Pipeline", "Result"),
     "depthmocap.offline.pipeline_settings": ("PipelineSettings", "load_pipeline", "open_source"),
@@ -77,6 +79,7 @@ __all__ = [
     "DepthCamera",
     "DepthFrame",
     "DepthSource",
+    "ExportSettings",
     "FrameSet",
     "FrameSource",
     "FrameTimeoutError",
@@ -103,6 +106,7 @@ __all__ = [
     "View",
     "__version__",
     "calibrate",
+    "export",
     "live",
     "load_pipeline",
     "load_rig",
