@@ -11,6 +11,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import tyro
+
 from depthmocap.errors import InputError
 
 ROOT = Path(__file__).parents[1]
@@ -38,7 +40,7 @@ class Scale:
     meetings: int = 6
     sequences: int = 6
     minutes: float = 30.0
-    quick: bool = False
+    quick: tyro.conf.Suppress[bool] = False
 
 
 QUICK = Scale(samples=2, rare=1, hard=2, rooms=1, meetings=1, sequences=1, minutes=0.3, quick=True)

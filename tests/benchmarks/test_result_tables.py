@@ -10,6 +10,7 @@ import bench_tables
 import people_tables
 import pytest
 import results
+import tyro
 from measurements import ROOT, Measurement, Scale
 
 from depthmocap.commands import COMMANDS
@@ -113,6 +114,12 @@ def test_tables_fill_the_marks_of_the_pages(name: results.Group) -> None:
         marked |= {table for table in tables if f"<!-- results: {table} -->" in page}
     assert marked == set(tables)
     assert _ROWS[name] in [line for lines in tables.values() for line in lines]
+
+
+def test_numbers_of_other_scales_are_kept_apart() -> None:
+    settings = tyro.cli(results.Settings, args=["CLIPS", "--only", "people", "time", "--samples", "3"])
+    assert settings.only == ("people", "time") and settings.scale == Scale(samples=3)
+    assert results.folder_of(settings, settings.scale) != results.folder_of(settings, Scale())
 
 
 @pytest.mark.parametrize("name", _NUMBERS)
