@@ -3,7 +3,9 @@ VENV ?= .venv
 BIN = $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 # By two processes; what threads would do beside them, they would do against each other. Files in their order, for
 # those of few tests are not those of little work: at the end of an order by number one process would wait.
-PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
+# Bytecode is kept, of the tests too, or each process would compile all of them.
+PYTEST = OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX=$(abspath $(VENV))/bytecode \
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 EXTRAS = train,cluster,record,stream,view,datasets,export,dev
 ifneq ($(shell uname -s),Darwin)  # the package index has no RealSense SDK for macOS
 EXTRAS := $(EXTRAS),realsense

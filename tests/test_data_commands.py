@@ -277,7 +277,7 @@ def test_votes_that_are_interrupted_are_kept(root, tmp_path, monkeypatch):
 
 def test_train_classifier_on_the_fly(body_model, tmp_path, monkeypatch):
     skip_export(monkeypatch)
-    settings = ClassifierTraining(tmp_path, images=4, batch=2, workers=0, valid_every=4, valid_images=1)
+    settings = ClassifierTraining(tmp_path, images=2, batch=1, workers=0, valid_every=2, valid_images=1)
     train_classifier(settings)
     row = json.loads((tmp_path / "history.jsonl").read_text())
     assert np.isfinite(row["loss"])

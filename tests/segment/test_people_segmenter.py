@@ -1,5 +1,7 @@
 """People who are blocks, in a room that four cameras see: followed while they cross, touch, go and return."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -23,18 +25,49 @@ def body(x: float, y: float, height: float = 1.75, reach: float = 0.0) -> tuple[
     )
 
 
+class Mount:
+    """A camera in a corner, and what it sees of the room and of boxes in it; of a box once, as many stand still.
+
+    Attributes:
+        room_m: depth of the room.
+    """
+
+    def __init__(self, i: int, count: int) -> None:
+        azimuth = 2 * np.pi * (i + 0.3) / count
+        self._eye = np.array([2.7 * np.sin(azimuth), -2.7 * np.cos(azimuth), 1.9])
+        pose = look_at(self._eye, np.array([0.0, 0.0, 0.9]))
+        self.camera = DepthCamera(f"cam{i}", 128, 106, 92.0, 92.0, 63.5, 52.5, pose)
+        self.room_m = render_room(Room(SHELL, TABLE), self.camera)
+        rays = np.concatenate([self.camera.rays, np.ones_like(self.camera.rays[..., :1])], -1) @ pose[:3, :3].T
+        self._inverse_rays = np.ascontiguousarray(1 / np.moveaxis(rays, -1, 0).astype(np.float64))
+        self.box_m = functools.lru_cache(maxsize=400)(self._box_m)
+
+    def _box_m(self, box: Box) -> np.ndarray:
+        """Depth of a box, infinite where it is not: where a ray is inside all three slabs."""
+        corners = np.array([box.low, box.high]) - self._eye
+        ends = corners[:, :, None, None] * self._inverse_rays
+        enter, leave = ends.min(0).max(0), ends.max(0).min(0)
+        return np.where((enter > 0) & (enter < leave), enter, np.inf)
+
+    def boxes_m(self, boxes: tuple[Box, ...]) -> np.ndarray:
+        """Depth of the nearest box."""
+        nothing = np.full(self.room_m.shape, np.inf)
+        return functools.reduce(np.minimum, map(self.box_m, boxes), nothing)
+
+
+@functools.cache
+def mounts(count: int) -> list[Mount]:
+    return [Mount(i, count) for i in range(count)]
+
+
 class Scene:
     """Cameras in the corners; pictures with noise, and whose every pixel is."""
 
     def __init__(self, count: int = 3) -> None:
         self.rng = np.random.default_rng(5)
-        self.cameras = []
-        for i in range(count):
-            azimuth = 2 * np.pi * (i + 0.3) / count
-            eye = np.array([2.7 * np.sin(azimuth), -2.7 * np.cos(azimuth), 1.9])
-            pose = look_at(eye, np.array([0.0, 0.0, 0.9]))
-            self.cameras.append(DepthCamera(f"cam{i}", 128, 106, 92.0, 92.0, 63.5, 52.5, pose))
-        self.rooms = [render_room(Room(SHELL, TABLE), camera) for camera in self.cameras]
+        self.mounts = mounts(count)
+        self.cameras = [mount.camera for mount in self.mounts]
+        self.rooms = [mount.room_m for mount in self.mounts]
         self.backgrounds = {
             camera.name: self.noisy(room_m) for camera, room_m in zip(self.cameras, self.rooms, strict=True)
         }
@@ -45,24 +78,13 @@ class Scene:
     def render(self, index: int, *people: tuple[Box, ...], things: tuple[Box, ...] = ()):
         """A set at an instant, and each person's true masks."""
         views, masks = [], [[] for _ in people]
-        for camera, room_m in zip(self.cameras, self.rooms, strict=True):
-            depths = [room_m, *(boxes_depth(camera, boxes) for boxes in (things, *people))]
-            views.append(View(camera, self.noisy(np.min(depths, axis=0))))
+        for mount in self.mounts:
+            depths = [mount.room_m, *(mount.boxes_m(boxes) for boxes in (things, *people))]
+            views.append(View(mount.camera, self.noisy(np.min(depths, axis=0))))
             nearest = np.argmin(depths, axis=0)
             for k, own in enumerate(masks):
                 own.append(nearest == k + 2)
         return FrameSet(index * 10**9 // RATE, tuple(views)), [tuple(own) for own in masks]
-
-
-def boxes_depth(camera: DepthCamera, boxes: tuple[Box, ...]) -> np.ndarray:
-    """Depth of the nearest box, infinite where none is: where a ray is inside all three slabs."""
-    rays = np.concatenate([camera.rays, np.ones_like(camera.rays[..., :1])], -1) @ camera.world_from_camera[:3, :3].T
-    eye, depth_m = camera.world_from_camera[:3, 3], np.full(rays.shape[:2], np.inf)
-    for box in boxes:
-        ends = np.stack([(np.array(box.low) - eye) / rays, (np.array(box.high) - eye) / rays])
-        enter, leave = ends.min(0).max(-1), ends.max(0).min(-1)
-        depth_m = np.where((enter > 0) & (enter < leave), np.minimum(depth_m, enter), depth_m)
-    return depth_m
 
 
 @pytest.fixture

@@ -80,13 +80,17 @@ def test_a_small_person_counts_for_more_than_their_samples() -> None:
     assert loss == pytest.approx(3 * 9 * 16 / 1600, rel=0.02)
 
 
-def test_a_run_trains_resumes_and_exports_what_the_detector_reads(examples, tmp_path: Path) -> None:
+def test_a_run_trains_resumes_and_exports_what_the_detector_reads(
+    examples, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def settings(images: int) -> PeopleTraining:
         return PeopleTraining(
             tmp_path / "run", images=images, batch=8, workers=0, valid_every=16, valid_scenes=1, average=0.5
         )
 
-    train_people(settings(16))
+    with monkeypatch.context() as patch:
+        patch.setattr("depthmocap.train.train_people.export_people_onnx", lambda network, path, *others: path)
+        train_people(settings(16))
     network = train_people(settings(24))
     rows = (tmp_path / "run" / "history.jsonl").read_text().splitlines()
     assert '"step": 24' in rows[-1]

@@ -87,11 +87,11 @@ def test_a_cover_keeps_what_is_distinct_and_nothing_else() -> None:
 
 
 def test_a_full_cover_grows_its_radius() -> None:
-    postures = random_postures(4000)
-    cover = Cover(0.01, 500)
+    postures = random_postures(1500)
+    cover = Cover(0.01, 200)
     for part in np.array_split(postures, 5):
         cover.add(part, np.zeros(len(part), dtype=np.int64))
-        assert cover.count <= 500
+        assert cover.count <= 200
     assert cover.radius_m > 0.05
     among = distances(cover.ends, cover.ends)
     np.fill_diagonal(among, np.inf)
@@ -107,9 +107,9 @@ def test_headings_do_not_make_postures_distinct() -> None:
 
 
 def test_farthest_points_are_the_greedy_ones() -> None:
-    ends = joint_positions(random_postures(700)).astype(np.float32)
-    allowed = np.arange(700) % 3 == 0
-    picks, left = farthest_points(ends, [(allowed, 20), (np.ones(700, dtype=bool), 60)])
+    ends = joint_positions(random_postures(300)).astype(np.float32)
+    allowed = np.arange(300) % 3 == 0
+    picks, left = farthest_points(ends, [(allowed, 20), (np.ones(300, dtype=bool), 60)])
     assert len(set(picks)) == 60
     assert allowed[picks[:20]].all()
     for n in range(1, 60):
@@ -117,8 +117,8 @@ def test_farthest_points_are_the_greedy_ones() -> None:
         candidates = to_picks[allowed] if n < 20 else to_picks
         assert to_picks[picks[n]] == pytest.approx(candidates.max(), abs=1e-5)
     assert left == pytest.approx(distances(ends, ends[picks]).min(1).max(), abs=1e-5)
-    everything, left = farthest_points(ends, [(np.ones(700, dtype=bool), 1000)])
-    assert sorted(everything) == list(range(700))
+    everything, left = farthest_points(ends, [(np.ones(300, dtype=bool), 1000)])
+    assert sorted(everything) == list(range(300))
     assert left == 0
 
 
