@@ -74,6 +74,15 @@ def test_what_comes_is_drawn_while_somebody_looks(live: LivePage, frames: FrameS
     assert "has ended" in live.status.content
 
 
+def test_a_page_of_ones_own_has_no_controls(live: LivePage, frames: FrameSet) -> None:
+    live.controls = None
+    sample = begin(live, frames)
+    with ViewerClient(live.page):
+        live.send(sample(0))
+    assert "1 in view" in live.status.content and not hasattr(live, "record")
+    live.close()
+
+
 def test_cloud_and_pictures_by_body_part(live: LivePage, frames: FrameSet) -> None:
     sample = begin(live, frames)(0)
     labels = tuple(np.full(view.depth_m.shape, 29, np.uint8) for view in frames.views)
