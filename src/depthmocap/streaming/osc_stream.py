@@ -42,7 +42,7 @@ class OscSender:
         self._osc, self._host, self._port = pythonosc, host, port
         self._client: Any = None
 
-    def open(self) -> None:
+    def connect(self) -> None:
         """Look the host up.
 
         Raises:
@@ -85,7 +85,7 @@ class OscStream(Stream):
 
     def start(self, setup: StreamSetup) -> None:
         """See :class:`Stream`."""
-        self._sender.open()
+        self._sender.connect()
 
     def send(self, sample: Sample) -> None:
         """See :class:`Stream`."""

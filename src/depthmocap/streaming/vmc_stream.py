@@ -76,7 +76,7 @@ class VmcStream(Stream):
 
     def start(self, setup: StreamSetup) -> None:
         """See :class:`Stream`."""
-        self._sender.open()
+        self._sender.connect()
         self._up, self._first_ns, self._person = setup.rig.up, 0, None
 
     def send(self, sample: Sample) -> None:
