@@ -125,7 +125,7 @@ def test_one_that_never_reads_and_one_that_sends_garbage(stream: FoxgloveStream)
     deaf = client_of(stream)
     with socket.create_connection(("127.0.0.1", stream.port)) as raw:
         raw.sendall(b"\x00\xff" * 3000)
-        deaf._connection.recv_flow_control.acquire()  # from now on it does not read
+        deaf.listening.clear()
         cloud = LabelledCloud(np.zeros((50_000, 3), np.float32), np.ones(50_000, np.uint8), np.ones(50_000, np.float32))
         sample = sample_of(standing_pose())
         sample = dataclasses.replace(sample, result=dataclasses.replace(sample.result, people=(), cloud=cloud))
@@ -133,7 +133,7 @@ def test_one_that_never_reads_and_one_that_sends_garbage(stream: FoxgloveStream)
         for _ in range(60):  # 48 MB
             stream.send(sample)
         assert time.monotonic() - start_s < 10
-    deaf._connection.recv_flow_control.release()
+    deaf.listening.set()
     deaf.close()
 
 

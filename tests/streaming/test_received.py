@@ -98,7 +98,9 @@ def test_by_lab_streaming_layer(recording: str, tmp_path: Path, lsl: Any, monkey
         inlet = lsl_inlet(lsl, name)
         with contextlib.suppress(lsl.util.LostError):  # at the end of the capture
             while True:
-                values, stamp = inlet.pull_sample(20)
+                values, stamp = inlet.pull_sample(5)
+                if values is None:
+                    break
                 samples.append(values)
                 stamps.append(stamp)
 

@@ -117,6 +117,7 @@ class FoxgloveClient:
     Attributes:
         messages: topic, log time (ns) and data, in order.
         schemas: the name of every topic's schema.
+        listening: while it is cleared, nothing is read.
     """
 
     def __init__(self, port: int, wanted: Callable[[str], bool] = lambda topic: True) -> None:
@@ -130,6 +131,8 @@ class FoxgloveClient:
         )
         self.messages: list[tuple[str, int, bytes]] = []
         self.schemas: dict[str, str] = {}
+        self.listening = threading.Event()
+        self.listening.set()
         self._wanted, self._topics = wanted, dict[int, str]()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -142,6 +145,7 @@ class FoxgloveClient:
 
     def _read(self) -> None:
         for message in self._connection:
+            self.listening.wait()
             if isinstance(message, bytes):
                 if message[0] == 1:  # a message of a subscription
                     number, stamp_ns = struct.unpack_from("<IQ", message, 1)
