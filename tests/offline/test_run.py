@@ -128,7 +128,7 @@ def test_frames_without_a_person_are_gaps(recording, tmp_path):
 def test_nobody_in_any_frame_is_one_error(recording, tmp_path):
     # Without a background frame a person who never moves is background.
     with pytest.raises(InputError, match="no person"):
-        run(RunSettings(recording, tmp_path / "out", report=False))
+        run(RunSettings(recording, tmp_path / "out", segment="background", report=False))
 
 
 def test_a_failed_run_leaves_no_results_of_an_earlier_one(recording, tmp_path):
@@ -144,7 +144,7 @@ def test_a_failed_run_leaves_no_results_of_an_earlier_one(recording, tmp_path):
         path.parent.mkdir(exist_ok=True)
         path.touch()
     with pytest.raises(InputError, match="no person"):
-        run(RunSettings(recording, out, report=False))
+        run(RunSettings(recording, out, segment="background", report=False))
     left = {path for path in out.rglob("*") if path.is_file()}
     assert left == {out / "pose.csv", out / "summary.json", *(path for path in kept if path.is_file())}
     assert read_summary(out)["gaps"] == 6

@@ -86,6 +86,14 @@ def test_what_the_network_is_not_certain_of_gets_no_number(rng):
     assert numbers(tracker) == []
 
 
+@pytest.mark.parametrize(("area", "certainty", "known"), [(0.6, 0.65, 1), (0.2, 0.65, 0), (0.2, 0.8, 1)])
+def test_what_shows_little_needs_more_certainty(rng, area, certainty, known):
+    tracker = PersonTracker()
+    for i in range(RATE):
+        tracker.update(person(rng, 0.0, 0.0, area=area, certainty=certainty), i / RATE)
+    assert len(numbers(tracker)) == known
+
+
 @pytest.mark.parametrize(("certainty", "speed_mps", "known"), [(0.4, 0, 1), (0.3, 0, 0), (0.3, 1, 1), (0.1, 1, 0)])
 def test_where_the_scene_was_seen_empty_less_certainty_will_do(rng, certainty, speed_mps, known):
     tracker = PersonTracker()

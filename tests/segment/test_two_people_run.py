@@ -35,7 +35,9 @@ def recording(tmp_path_factory):
 @pytest.fixture(scope="module")
 def out(recording, tmp_path_factory):
     out = tmp_path_factory.mktemp("people") / "out"
-    summary = run(RunSettings(recording, out, people=2, smooth="fixed-lag", lag_frames=2, report=False)).summary
+    summary = run(
+        RunSettings(recording, out, segment="background", people=2, smooth="fixed-lag", lag_frames=2, report=False)
+    ).summary
     assert summary["frames_by_person"] == {"1": SETS, "2": SETS - COMES}
     return out
 
@@ -70,7 +72,7 @@ sys.exit(main(sys.argv[2:]))
 @pytest.mark.parametrize("cores", ["1", "2"])
 def test_poses_are_the_same_to_the_byte_on_any_number_of_cores(recording, out, tmp_path, cores):
     command = [sys.executable, "-c", _ON_CORES, cores, "run", str(recording), "--out", str(tmp_path / "out")]
-    command += ["--people", "2", "--smooth", "fixed-lag", "--lag-frames", "2", "--no-report"]
+    command += ["--segment", "background", "--people", "2", "--smooth", "fixed-lag", "--lag-frames", "2", "--no-report"]
     subprocess.run(command, env=os.environ | {"OMP_NUM_THREADS": cores}, check=True, capture_output=True)
     names = [str(path.relative_to(out)) for path in sorted(out.rglob("pose.*"))]
     assert len(names) == 9

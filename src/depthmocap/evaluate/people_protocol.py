@@ -131,6 +131,7 @@ def evaluate_people(settings: PeopleEvaluation, console: Console | None = None) 
     """Make the scenes, track the people in them and print a table; returns the numbers."""
     console = console or Terminal(stderr=True)
     rng = np.random.default_rng(settings.seed)
+    detector = PeopleDetector(settings.weights)
     numbers: dict[str, Any] = {"settings": plain_settings(settings)}
     errors: dict[str, list[ndarray]] = {}
     for kind, scenario, backgrounds in _scenarios(settings):
@@ -154,7 +155,7 @@ def evaluate_people(settings: PeopleEvaluation, console: Console | None = None) 
                 scene = ScenarioScene(rng, scenario, settings.cameras, rate_hz)
             for segment, background, score in scores.values():
                 known = scene.backgrounds_m if background == "known" else {}
-                score.start_scene(_segmenter(settings, segment, known, max(scene.count, 1)), scene.count, in_view_m2)
+                score.start_scene(_segmenter(segment, known, max(scene.count, 1), detector), scene.count, in_view_m2)
             joints = None
             if settings.joints and settings.scenario == "meeting" and isinstance(scene, ScenarioScene):
                 joints = FirstPersonErrors(scene)
@@ -178,13 +179,11 @@ def evaluate_people(settings: PeopleEvaluation, console: Console | None = None) 
 
 
 def _segmenter(
-    settings: PeopleEvaluation, segment: str, known: dict[str, ndarray], people: int
+    segment: str, known: dict[str, ndarray], people: int, detector: PeopleDetector
 ) -> PeopleSegmenter | NetworkSegmenter:
     if segment == "background":
         return PeopleSegmenter(known, people=people)
-    return NetworkSegmenter(
-        known, people=people, background=segment == "auto", detector=PeopleDetector(settings.weights)
-    )
+    return NetworkSegmenter(known, people=people, background=segment == "auto", detector=detector)
 
 
 def _scenarios(settings: PeopleEvaluation) -> list[tuple[str, Scenario | None, tuple[str, ...]]]:

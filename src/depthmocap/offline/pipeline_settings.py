@@ -14,6 +14,7 @@ from depthmocap.offline.pipeline import Pipeline
 from depthmocap.pose.estimators import load_estimator
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.recordings.recording import Recording
+from depthmocap.segment.choice import Choice, Subject
 from depthmocap.segment.load_segmenter import Segmentation, load_segmenter
 from depthmocap.smooth.filters import AUTO, Bones, Smoothing, load_filter
 
@@ -23,10 +24,13 @@ class PipelineSettings:
     """How people are found and their poses estimated and smoothed.
 
     Attributes:
-        segment: "background" finds people by what differs from the empty scene, stands up and moves; "network" by their
-            shape, in any posture, also with a camera that moves; "auto" by their shape and the empty scene together;
-            "none" takes every valid pixel for one person.
+        segment: "auto" finds people by their shape, in any posture, and learns the empty scene, which sharpens the
+            masks; "network" by their shape alone, also with a camera that moves; "background" by what differs from the
+            empty scene, stands up and moves; "none" takes every valid pixel for one person.
         people: follow up to so many.
+        subject: whom to follow first: who shows most surface, who is nearest to the middle, who came first, or a
+            person's number.
+        area: follow people in an area of the floor only: x and y (x and z where y is up) of its corners, in metres.
         smooth: a filter over time. "average" is the paper's weighted average of the last frames, "fixed-lag" waits for
             later ones; "auto" is "kalman" for recordings and cameras, and "none" for sets of pictures that do not
             follow each other, such as UBC3V's sections.
@@ -38,14 +42,25 @@ class PipelineSettings:
         estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
     """
 
-    segment: Segmentation = "background"
+    segment: Segmentation = "auto"
     people: int = 1
+    subject: Subject = "largest"
+    area: tuple[float, ...] = ()
     smooth: Smoothing = "auto"
     lag_frames: int = 4
     bridge_s: float = 0.0
     bones: Bones = "steady"
     weights: Path | None = None
     estimator: str = "votes"
+
+    @property
+    def choice(self) -> Choice:
+        """Who is followed.
+
+        Raises:
+            InputError: for an area that is none.
+        """
+        return Choice(self.subject, self.area)
 
 
 def open_source(path: Path | str, rig: Path | None = None) -> FrameSource:
@@ -95,7 +110,7 @@ def load_pipeline(
     return Pipeline(
         Classifier(settings.weights),
         load_estimator(settings.estimator),
-        load_segmenter(source, settings.segment, settings.people),
+        load_segmenter(source, settings.segment, settings.people, settings.choice),
         source.up,
         smoothing,
     )

@@ -136,7 +136,9 @@ class LiveControls:
     def learn_background(self) -> None:
         """Learn the empty scene anew; people are looked for anew, too, and their numbers begin at 1."""
         rig = Rig(tuple(self._capture.reader.cameras.values()), self._capture.up)
-        segmenter = load_segmenter(BackgroundSource(rig, {}), self._settings.segment, self.people)
+        segmenter = load_segmenter(
+            BackgroundSource(rig, {}), self._settings.segment, self.people, self._settings.choice
+        )
 
         def change(pipeline: Pipeline) -> None:
             segmenter.people = self.people

@@ -6,6 +6,7 @@ from typing import Literal, TypeAlias
 
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSource
+from depthmocap.segment.choice import ANYBODY, Choice
 from depthmocap.segment.network_segmenter import NetworkSegmenter
 from depthmocap.segment.people_segmenter import PeopleSegmenter
 
@@ -14,7 +15,7 @@ Segmentation: TypeAlias = Literal["auto", "network", "background", "none"]
 
 
 def load_segmenter(
-    source: FrameSource, segment: Segmentation = "background", people: int = 1
+    source: FrameSource, segment: Segmentation = "auto", people: int = 1, choice: Choice = ANYBODY
 ) -> PeopleSegmenter | NetworkSegmenter:
     """The segmenter for a source.
 
@@ -24,6 +25,7 @@ def load_segmenter(
             the empty scene, stands upright and moves; where the source has none, it is estimated from its frames.
             "none" takes every valid pixel for one person.
         people: the most people that are followed.
+        choice: who is followed.
 
     Raises:
         InputError: when ``people`` is less than one, or the source cannot be read.
@@ -31,5 +33,5 @@ def load_segmenter(
     if people < 1:
         raise InputError(f"--people must be at least 1, got {people}")
     if segment in ("background", "none"):
-        return PeopleSegmenter.from_recording(source, "auto" if segment == "background" else "none", people)
-    return NetworkSegmenter.for_source(source, people, background=segment == "auto")
+        return PeopleSegmenter.from_recording(source, "auto" if segment == "background" else "none", people, choice)
+    return NetworkSegmenter.for_source(source, people, segment == "auto", choice)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -10,17 +12,20 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from depthmocap.frames import FrameSet, FrameSource, View
-from depthmocap.geometry import transform_points, z_up_from
+from depthmocap.geometry import DepthCamera, transform_points, z_up_from
 from depthmocap.kernels.people_votes import paint_people
 from depthmocap.segment.background import FAR_M, BackgroundModel
+from depthmocap.segment.choice import ANYBODY, Choice, Follower
 from depthmocap.segment.depth_grid import DepthGrid
 from depthmocap.segment.floor import find_floor
 from depthmocap.segment.people_detector import SURE_LOGIT, DetectedPeople, PeopleDetector, grid_of, person_mask
-from depthmocap.segment.people_segmenter import PersonMasks, select_people
+from depthmocap.segment.people_segmenter import PersonMasks
 from depthmocap.segment.person_tracks import PersonTrack, PersonTracker, Votes, measure_statures
 
 #: Neighbouring pixels whose depths differ by less than this (metres) show one surface.
 STEP_M = 0.1
+#: Somebody is certain to be a person after some sets; so many first sets of a recording are seen before it begins.
+_SETS_BEFORE = 8
 #: So many points of somebody are looked up in all views.
 _POINTS = 80
 #: The top of a head is looked for this near to the highest sample (metres).
@@ -38,7 +43,7 @@ class NetworkSegmenter:
 
     Attributes:
         people: the most people returned. A person once selected stays selected until they leave; free places go to
-            those with the largest visible surface.
+            others by ``choice``.
         problems: what makes good masks unlikely, one line each.
     """
 
@@ -49,15 +54,18 @@ class NetworkSegmenter:
         people: int = 1,
         background: bool = True,
         detector: PeopleDetector | None = None,
+        choice: Choice = ANYBODY,
     ) -> None:
         """
         Args:
             backgrounds_m: empty scenes, depth in metres by camera name, 0 where not known; of any of the cameras.
             up: the world's up axis.
             background: whether empty scenes are used and learnt.
+            choice: who is followed.
         """
         self.people, self.problems = people, []
         self._detector = detector or PeopleDetector()
+        self._follower = Follower(choice, up)
         self._up_axis, self._up = up, z_up_from(up)[2]
         self._floor_from_world: Float[ndarray, "4 4"] | None = None
         self._known = set(backgrounds_m)
@@ -70,19 +78,31 @@ class NetworkSegmenter:
         #: By camera: the foreground limit, and the same at the samples of its grid.
         self._limits: dict[str, tuple[ndarray, ndarray]] = {}
         self._pool = ThreadPoolExecutor(max_workers=4)
+        self._at_start = PersonTracker()
         self.reset()
 
     @classmethod
-    def for_source(cls, source: FrameSource, people: int = 1, background: bool = True) -> NetworkSegmenter:
-        """A segmenter that knows the empty scenes of a source, as far as it has them."""
+    def for_source(
+        cls, source: FrameSource, people: int = 1, background: bool = True, choice: Choice = ANYBODY
+    ) -> NetworkSegmenter:
+        """A segmenter that knows a source's empty scenes, as far as it has them, and who is there when it begins."""
         empty = {name: source.background(name) for name in source.camera_names} if background else {}
         known = {name: background_m for name, background_m in empty.items() if background_m is not None}
-        return cls(known, source.up, people, background)
+        segmenter = cls(known, source.up, people, background, choice=choice)
+        if source.continuous and len(source):
+            first = [source[i] for i in range(min(_SETS_BEFORE, len(source)))]
+            # Backwards, so that nobody jumps: the set before the first is the second one, seen in a mirror of time.
+            for frames in first[:0:-1]:
+                mirrored_ns = 2 * first[0].timestamp_ns - frames.timestamp_ns
+                segmenter(dataclasses.replace(frames, timestamp_ns=mirrored_ns))
+            segmenter._at_start = segmenter._tracker
+            segmenter.reset()
+        return segmenter
 
     def reset(self) -> None:
-        """Forget everybody; what is known of the empty scene is kept."""
-        self._tracker = PersonTracker()
-        self._followed_numbers: list[int] = []
+        """Forget everybody but those who are there at a recording's start; what is known of the empty scene is kept."""
+        self._tracker = copy.deepcopy(self._at_start)
+        self._follower.reset()
 
     def __call__(self, frames: FrameSet) -> tuple[PersonMasks, ...]:
         """The people in a frame set, those selected first at the front; an empty tuple when nobody is there."""
@@ -115,7 +135,8 @@ class NetworkSegmenter:
         )  # fmt: skip
         self._learn(frames, depths, detected)
         return tuple(
-            PersonMasks(track.number, tuple(image == track.label for image in images)) for track in self._select()
+            PersonMasks(track.number, tuple(image == track.label for image in images))
+            for track in self._select([view.camera for view in views])
         )
 
     def _grid(self, view: View) -> DepthGrid:
@@ -160,8 +181,8 @@ class NetworkSegmenter:
             if background.is_due(frames.timestamp_ns):
                 background.update(depth_m, _occupied(people, depth_m.shape), frames.timestamp_ns)
 
-    def _select(self) -> list[PersonTrack]:
-        return select_people(self._tracker.active, self._followed_numbers, self.people)
+    def _select(self, cameras: Sequence[DepthCamera]) -> list[PersonTrack]:
+        return self._follower(self._tracker.active, self.people, lambda track: track.centre_m, cameras)
 
 
 def probability_in_views(points: Float[ndarray, "n 3"], detected: Sequence[DetectedPeople]) -> float:

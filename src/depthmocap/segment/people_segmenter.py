@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -13,10 +12,11 @@ from numpy import ndarray
 
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, FrameSource, View
-from depthmocap.geometry import DepthCamera
+from depthmocap.geometry import DepthCamera, rigid_inverse, transform_points
 from depthmocap.kernels.segmentation import paint_labels
 from depthmocap.segment.background import BackgroundModel
 from depthmocap.segment.blob_divider import BlobDivider
+from depthmocap.segment.choice import ANYBODY, Choice, Follower
 from depthmocap.segment.floor import find_floor
 from depthmocap.segment.occupancy_map import Foreground, OccupancyMap
 from depthmocap.segment.static_scene import Mode, PersonSegmenter
@@ -46,7 +46,7 @@ class PeopleSegmenter:
 
     Attributes:
         people: the most people returned. A person once selected stays selected until they leave; free places go to
-            those with the largest visible surface.
+            others by ``choice``.
         problems: what makes good masks unlikely, one line each, with a remedy.
     """
 
@@ -57,11 +57,13 @@ class PeopleSegmenter:
         mode: Mode = "auto",
         people: int = 1,
         problems: Sequence[str] = (),
+        choice: Choice = ANYBODY,
     ) -> None:
         """
         Args:
             backgrounds_m: empty scenes, depth in metres by camera name, 0 where not known; of any of the cameras.
             up: the world's up axis.
+            choice: who is followed.
 
         Raises:
             InputError: when ``people`` is less than one.
@@ -71,6 +73,7 @@ class PeopleSegmenter:
         self.mode: Mode = mode
         self.people, self.problems = people, list(problems)
         self._up = up
+        self._follower = Follower(choice, up)
         self._backgrounds = {
             name: BackgroundModel((background_m.shape[0], background_m.shape[1]), background_m)
             for name, background_m in backgrounds_m.items()
@@ -82,15 +85,17 @@ class PeopleSegmenter:
         self.reset()
 
     @classmethod
-    def from_recording(cls, source: FrameSource, mode: Mode = "auto", people: int = 1) -> PeopleSegmenter:
+    def from_recording(
+        cls, source: FrameSource, mode: Mode = "auto", people: int = 1, choice: Choice = ANYBODY
+    ) -> PeopleSegmenter:
         """Use the empty scenes of a recording; those that it lacks are estimated from its frames."""
         static_scene = PersonSegmenter.from_recording(source, mode)
-        return cls(static_scene.backgrounds_m, source.up, mode, people, static_scene.problems)
+        return cls(static_scene.backgrounds_m, source.up, mode, people, static_scene.problems, choice)
 
     def reset(self) -> None:
         """Forget all tracks; background models are kept."""
         self._tracker, self._divider = PeopleTracker(), BlobDivider()
-        self._followed_numbers: list[int] = []
+        self._follower.reset()
 
     def __call__(self, frames: FrameSet) -> tuple[PersonMasks, ...]:
         """The people in a frame set, those selected first at the front; an empty tuple when nobody is there.
@@ -184,29 +189,10 @@ class PeopleSegmenter:
         return person[label_image]
 
     def _select(self) -> list[Track]:
-        return select_people(self._tracker.active, self._followed_numbers, self.people)
+        assert self._map is not None
+        world_from_map = rigid_inverse(self._map.map_from_world)
 
+        def point(track: Track) -> Float[ndarray, "3"]:
+            return transform_points(world_from_map, np.array([*track.position_m, 0.0]))
 
-@runtime_checkable
-class _Numbered(Protocol):
-    """What is needed of a track to choose who is followed."""
-
-    number: int
-    area_m2: float
-
-
-_AnyTrack = TypeVar("_AnyTrack", bound=_Numbered)
-
-
-def select_people(tracks: Sequence[_AnyTrack], followed_numbers: list[int], most: int) -> list[_AnyTrack]:
-    """The visible ones of the selected people: those already selected, then those with the largest surface.
-
-    Args:
-        followed_numbers: numbers of those who are selected; updated in place.
-        most: so many are selected.
-    """
-    people = {track.number: track for track in tracks if track.number}
-    followed_numbers[:] = [number for number in followed_numbers if number in people]
-    others = sorted(set(people) - set(followed_numbers), key=lambda number: -people[number].area_m2)
-    followed_numbers += others[: most - len(followed_numbers)]
-    return [people[number] for number in followed_numbers if people[number].area_m2 > 0]
+        return self._follower(self._tracker.active, self.people, point, list(self._cameras.values()))

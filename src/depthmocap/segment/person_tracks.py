@@ -38,8 +38,11 @@ SEEN_M2 = 0.01
 SETS_NEEDED = 3
 #: over at least this time (seconds),
 CERTAIN_S = 0.1
-#: if the network's certainty of its samples is on average at least this.
-CERTAINTY = 0.6
+#: if the network's certainty of its samples is on average at least this, by the surface (m²): furniture that is taken
+#: for people mostly shows little.
+CERTAINTY_M2, CERTAINTY = (0.05, 0.3), (0.9, 0.6)
+#: One set is enough for a body of which so much is seen (m²), with this certainty.
+AT_ONCE_M2, AT_ONCE_CERTAINTY = 0.5, 0.8
 #: The time over which certainty is averaged (seconds).
 CERTAINTY_S = 0.2
 #: Of what has moved so far (metres) less certainty will do, because furniture stays where it is,
@@ -250,8 +253,9 @@ class PersonTracker:
         if track.before > BEFORE:
             needed = MOVED_BEFORE_CERTAINTY if moved else BEFORE_CERTAINTY
         else:
-            needed = MOVED_CERTAINTY if moved else CERTAINTY
-        if track.sets < SETS_NEEDED or age_s < CERTAIN_S or track.certainty < needed:
+            needed = MOVED_CERTAINTY if moved else float(np.interp(track.area_m2, CERTAINTY_M2, CERTAINTY))
+        at_once = track.area_m2 > AT_ONCE_M2 and track.certainty > AT_ONCE_CERTAINTY
+        if ((track.sets < SETS_NEEDED or age_s < CERTAIN_S) and not at_once) or track.certainty < needed:
             return
         match = match_place(self._departed, track.centre_m, track.stature_m, now_s)
         if match is not None and np.isnan(track.stature_m) and match.stature_m > 0 and age_s < PLACE_S:
