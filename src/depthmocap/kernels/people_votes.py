@@ -104,6 +104,43 @@ def densest_vote(votes, areas, owners, most, reach_m, centre):
 
 
 @numba.njit(cache=True, nogil=True)
+def grow_people(samples_m, limit_m, logits, least, step_m, reach_m, sample_rad, labels):
+    """Give samples without label that of a neighbour whose surface they continue, up to some distance.
+
+    Args:
+        samples_m, logits: (2h, 2w).
+        limit_m: (2h, 2w) depth below which a sample is before the empty scene; 0 where that is unknown.
+        least: logit that a sample needs.
+        step_m: largest difference in depth (metres) within a surface.
+        reach_m: so far over the surface from samples that have a label at first (metres).
+        sample_rad: angle between samples.
+        labels: (2h, 2w) uint8, changed in place.
+    """
+    rows, columns = labels.shape
+    queue, gone = np.empty(rows * columns, np.int32), np.zeros(rows * columns, np.float32)
+    first, last = 0, 0
+    for i in range(rows * columns):
+        if labels[i // columns, i % columns]:
+            queue[last] = i
+            last += 1
+    while first < last:
+        i, j = queue[first] // columns, queue[first] % columns
+        so_far, z = gone[queue[first]], samples_m[i, j]
+        first += 1
+        if so_far > reach_m:
+            continue
+        for y, x in ((i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)):
+            if not (0 <= y < rows and 0 <= x < columns) or labels[y, x]:
+                continue
+            other = samples_m[y, x]
+            if 0 < other < limit_m[y, x] and abs(other - z) < step_m and logits[y, x] > least:
+                labels[y, x] = labels[i, j]
+                gone[y * columns + x] = so_far + other * sample_rad
+                queue[last] = y * columns + x
+                last += 1
+
+
+@numba.njit(cache=True, nogil=True)
 def paint_people(depth_m, limit_m, row_starts, column_starts, samples_m, labels, beyond_limit, step_m, out):
     """Write the label of every pixel: that of the sample among the nearest nine whose depth it continues.
 

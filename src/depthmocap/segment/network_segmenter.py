@@ -13,17 +13,27 @@ from numpy import ndarray
 
 from depthmocap.frames import FrameSet, FrameSource, View
 from depthmocap.geometry import DepthCamera, transform_points, z_up_from
-from depthmocap.kernels.people_votes import paint_people
+from depthmocap.kernels.people_votes import grow_people, paint_people
 from depthmocap.segment.background import FAR_M, BackgroundModel
 from depthmocap.segment.choice import ANYBODY, Choice, Follower
 from depthmocap.segment.depth_grid import DepthGrid
 from depthmocap.segment.floor import find_floor
-from depthmocap.segment.people_detector import SURE_LOGIT, DetectedPeople, PeopleDetector, grid_of, person_mask
+from depthmocap.segment.people_detector import (
+    SAMPLE_RAD,
+    SURE_LOGIT,
+    DetectedPeople,
+    PeopleDetector,
+    grid_of,
+    person_mask,
+)
 from depthmocap.segment.people_segmenter import PersonMasks
 from depthmocap.segment.person_tracks import PersonTrack, PersonTracker, Votes, measure_statures
 
 #: Neighbouring pixels whose depths differ by less than this (metres) show one surface.
 STEP_M = 0.1
+#: What continues somebody's surface before the empty scene is theirs, too, if its logit is above this, so far from what
+#: the network found (metres): hands and feet.
+GROW_LOGIT, GROW_M = -5.0, 0.35
 #: Somebody is certain to be a person after some sets; so many first sets of a recording are seen before it begins.
 _SETS_BEFORE = 8
 #: So many points of somebody are looked up in all views.
@@ -259,6 +269,9 @@ def _paint(
         limit_m = np.full((1, 1), np.inf, np.float32)
         limit_m = np.broadcast_to(limit_m, depth_m.shape)
     grid = detected.grid
+    grow_people(
+        detected.samples_m, detected.limit_m, detected.logits, GROW_LOGIT, STEP_M, GROW_M, SAMPLE_RAD, of_samples
+    )
     paint_people(
         depth_m, limit_m, grid.row_starts, grid.column_starts, detected.samples_m, of_samples, beyond, STEP_M, out
     )

@@ -18,8 +18,9 @@ from depthmocap.segment.depth_grid import CELL_FOCAL_PX, FARTHEST_M, DepthGrid
 
 #: The packaged network.
 PACKAGED = Path(__file__).parent / "weights" / "people.onnx"
-#: Surface that a sample shows at a metre (m²).
-SAMPLE_M2 = 1 / (2 * CELL_FOCAL_PX) ** 2
+#: Angle between samples, and the surface that one shows at a metre (m²).
+SAMPLE_RAD = 1 / (2 * CELL_FOCAL_PX)
+SAMPLE_M2 = SAMPLE_RAD**2
 #: A sample shows a person if its logit is above this:
 PERSON_LOGIT = -1.0
 #: above this where it lies before the empty scene,
@@ -41,6 +42,7 @@ class DetectedPeople:
         votes: for the centre of their person (metres).
         areas_m2: their surface.
         before: whether they are where the scene was seen empty.
+        limit_m: at each sample the depth (metres) from which on it shows the empty scene, 0 where it is unknown.
     """
 
     grid: DepthGrid
@@ -51,6 +53,7 @@ class DetectedPeople:
     votes: Float[ndarray, "n 3"]
     areas_m2: Float[ndarray, " n"]
     before: Bool[ndarray, " n"]
+    limit_m: Float[ndarray, "rows2 columns2"]
 
 
 class PeopleDetector:
@@ -99,12 +102,10 @@ class PeopleDetector:
             indices, points, votes, areas,
         )  # fmt: skip
         indices = indices[:count]
-        before = np.zeros(count, np.bool_)
-        if limit_m is not None:
-            limits = limit_m.ravel()[indices]
-            before = (limits < FAR_M) & (samples_m.ravel()[indices] < limits)
+        known_m = np.zeros_like(samples_m) if limit_m is None else np.where(limit_m < FAR_M, limit_m, np.float32(0))
+        before = samples_m.ravel()[indices] < known_m.ravel()[indices]
         return DetectedPeople(
-            grid, samples_m, logits, indices, points[:count], votes[:count], areas[:count], before
+            grid, samples_m, logits, indices, points[:count], votes[:count], areas[:count], before, known_m
         )  # fmt: skip
 
 
