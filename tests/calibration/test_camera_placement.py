@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 from walker import errors, stand, track
 
+from depthmocap.calibration import camera_placement
 from depthmocap.calibration.camera_placement import is_reliable, place_cameras, why_unreliable
 from depthmocap.calibration.joint_tracks import JointTrack
 from depthmocap.calibration.pairs import CameraPair
+from depthmocap.calibration.refine import RefinedPlacement
 from depthmocap.calibration.upright import find_upright
+from depthmocap.calibration.verdict import find_warnings, judge_pairs, late_cameras
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera, rigid_inverse
 
@@ -43,6 +46,39 @@ def test_cameras_are_placed_whatever_their_clocks_and_rates():
     assert error_rad < np.deg2rad(0.3)
     np.testing.assert_allclose(placement.offset_s, offset_s - offset_s.mean(), atol=0.006)
     assert (placement.offset_sigma_s < 0.005).all()
+
+
+@pytest.mark.parametrize("late_s", [-0.5, 1.0])
+def test_a_camera_that_is_late_by_more_than_velocities_tell(late_s):
+    rng = np.random.default_rng(5)
+    poses = [stand(0), stand(95)]
+    tracks = [track(pose, TIMES_S, rng, offset_s=late) for pose, late in zip(poses, (0.0, late_s), strict=True)]
+    placement = place_cameras(tracks, rng)
+    assert not placement.untold
+    assert placement.offset_s[1] - placement.offset_s[0] == pytest.approx(late_s, abs=0.015)
+    assert relative_errors(placement, poses)[0] < 0.02
+    assert set(late_cameras(("a", "b"), placement)) == {"a", "b"}
+
+
+def test_a_lateness_beyond_the_search_is_never_good():
+    rng = np.random.default_rng(6)
+    tracks = [track(stand(azimuth), TIMES_S, rng, offset_s=late) for azimuth, late in ((0, 0.0), (95, 3.0))]
+    placement = place_cameras(tracks, rng)
+    refined = RefinedPlacement(placement.poses, False, {}, {}, np.zeros((2, 2, 6)))
+    pairs = judge_pairs(("a", "b"), placement, refined)
+    assert [pair.grade for pair in pairs] == ["poor"]
+    assert late_cameras(("a", "b"), placement) == {}
+    warnings = find_warnings(("a", "b"), placement, pairs)
+    assert warnings[-1].startswith("cannot tell the time offset of cameras 'a' and 'b': ")
+
+
+def test_offsets_that_stray_are_not_believed(monkeypatch):
+    # Where time and place cannot be told apart, the fine search may run away, past the ends of the takes.
+    monkeypatch.setattr(camera_placement, "estimate_offsets", lambda *_: (np.array([-0.4, 0.4]), np.zeros(2)))
+    rng = np.random.default_rng(7)
+    placement = place_cameras([track(stand(azimuth), TIMES_S[:96], rng) for azimuth in (0, 95)], rng)
+    assert placement.untold == ((0, 1),)
+    assert np.isfinite(placement.skeletons.joints).any()
 
 
 def test_a_chain_of_cameras_and_one_that_sees_nobody():

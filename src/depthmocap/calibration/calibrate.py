@@ -88,7 +88,8 @@ class Calibration:
         unplaced: why each of the other cameras could not be placed, by name.
         pairs: quality of each pair of placed cameras.
         warnings: what would improve the calibration, one line each.
-        offset_s: how much later than its timestamps say each placed camera exposes (seconds; the mean is 0).
+        offset_s: how much later than its timestamps say each placed camera exposes (seconds; the mean is 0); empty if
+            it cannot be told of all.
         trajectory: positions of the pelvis in the world (metres).
         clouds: points of the empty scene by placed camera, in the camera's frame (metres).
     """
@@ -162,7 +163,7 @@ def _solve(
         if index not in placement.cameras
     }
     clouds = {observation.camera.name: observation.empty_surface().points for observation in placed}
-    offset_s = dict(zip(placed_names, placement.offset_s.tolist(), strict=True))
+    offset_s = {} if placement.untold else dict(zip(placed_names, placement.offset_s.tolist(), strict=True))
     return Calibration(rig, upright.source, unplaced, pairs, warnings, offset_s, trajectory, clouds)
 
 
@@ -245,6 +246,12 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
 def _headline(calibration: Calibration, cameras: int) -> str:
     worst_mm = max(pair.uncertainty_mm for pair in calibration.pairs)
     worst_deg = max(pair.uncertainty_deg for pair in calibration.pairs)
+    if untold := [pair for pair in calibration.pairs if not pair.time_told]:
+        return (
+            f"Poor: {len(calibration.rig.cameras)} of {cameras} cameras are placed, but how far the timestamps of "
+            f"{camera_list(untold[0].cameras)} are apart cannot be told, and their places are wrong by what the person "
+            "moved in between."
+        )
     return (
         f"{calibration.grade.capitalize()}: {len(calibration.rig.cameras)} of {cameras} cameras are placed, any two of "
         f"them to {worst_mm:.1f} mm where the person was and {worst_deg:.2f}° or better."

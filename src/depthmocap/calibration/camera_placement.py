@@ -14,6 +14,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
 from depthmocap.calibration.joint_tracks import JointTrack, Skeletons, common_times, resample
+from depthmocap.calibration.lateness import search_lateness
 from depthmocap.calibration.pairs import CameraPair, estimate_pair, geman_mcclure, usable_joints
 from depthmocap.calibration.solve import ResidualRows, apply_twists, normal_equations, point_rows
 from depthmocap.geometry import rigid_inverse, transform_points
@@ -32,6 +33,10 @@ _CONVERGED = 1e-5
 _OFFSETS_CONVERGED_S = 0.0005
 #: at most so often: for a person who walks in a circle, a rotation of the world is much like an offset in time.
 _ALTERNATIONS = 25
+#: The offsets of two cameras have not settled if they still change by more than this (seconds),
+_UNSETTLED_S = 0.004
+#: and are wrong if they come further from where they started (seconds).
+_FARTHEST_S = 0.5
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -44,6 +49,7 @@ class Placement:
         offset_s: how much later than its timestamps say each of them exposes (seconds); the mean is 0.
         offset_sigma_s: standard error of the offset.
         pairs: of all cameras with common frames.
+        untold: pairs of placed cameras (places in ``cameras``) whose time offset cannot be told.
         skeletons: of the placed cameras, at common times.
     """
 
@@ -52,31 +58,49 @@ class Placement:
     offset_s: Float[ndarray, " k"]
     offset_sigma_s: Float[ndarray, " k"]
     pairs: dict[tuple[int, int], CameraPair]
+    untold: tuple[tuple[int, int], ...]
     skeletons: Skeletons
 
 
 def place_cameras(tracks: Sequence[JointTrack], rng: np.random.Generator) -> Placement:
     """Place the largest group of cameras that reliable pairs connect."""
     times_s = common_times(tracks)
-    skeletons = resample(tracks, times_s, np.zeros(len(tracks)))
+    search_rng = rng.spawn(1)[0]
     pairs: dict[tuple[int, int], CameraPair] = {}
     for a, b in itertools.combinations(range(len(tracks)), 2):
-        joints, sigma_m = skeletons.joints, skeletons.sigma_m
-        pair = estimate_pair((joints[a], joints[b]), (sigma_m[a], sigma_m[b]), rng)
+        lateness = search_lateness(tracks[a], tracks[b], search_rng)
+        two = resample((tracks[a], tracks[b]), times_s, np.array([0.0, lateness.seconds]))
+        pair = estimate_pair((two.joints[0], two.joints[1]), (two.sigma_m[0], two.sigma_m[1]), rng)
         if pair is not None:
-            pairs[a, b] = pair
-    cameras, poses = _initial_poses(pairs, len(tracks))
+            pairs[a, b] = dataclasses.replace(pair, late_s=lateness.seconds, time_told=lateness.told)
+    cameras, initial_poses, initial_s = _initial_poses(pairs, len(tracks))
     chosen = [tracks[camera] for camera in cameras]
-    offset_s = offset_sigma_s = np.zeros(len(chosen))
+    poses, offset_s = initial_poses, initial_s
+    change_s = offset_sigma_s = np.zeros(len(chosen))
     skeletons = resample(chosen, times_s, offset_s)
     for _ in range(_ALTERNATIONS if len(chosen) > 1 else 0):
         poses = _solve(poses, skeletons)
         change_s, offset_sigma_s = estimate_offsets(poses, skeletons)
         offset_s = offset_s + change_s
+        if np.ptp(offset_s - initial_s) > _FARTHEST_S:
+            break
         skeletons = resample(chosen, times_s, offset_s)
         if np.abs(change_s).max() < _OFFSETS_CONVERGED_S:
             break
-    return Placement(cameras, _solve(poses, skeletons), offset_s, offset_sigma_s, pairs, skeletons)
+    strayed = [
+        (a, b)
+        for a, b in itertools.combinations(range(len(chosen)), 2)
+        if abs((offset_s - initial_s)[a] - (offset_s - initial_s)[b]) > _FARTHEST_S
+        or abs(change_s[a] - change_s[b]) > _UNSETTLED_S
+    ]
+    if strayed:
+        poses, offset_s, skeletons = initial_poses, initial_s, resample(chosen, times_s, initial_s)
+    untold = [
+        (a, b)
+        for a, b in itertools.combinations(range(len(chosen)), 2)
+        if (a, b) in strayed or ((pair := pairs.get((cameras[a], cameras[b]))) is not None and not pair.time_told)
+    ]
+    return Placement(cameras, _solve(poses, skeletons), offset_s, offset_sigma_s, pairs, tuple(untold), skeletons)
 
 
 def is_reliable(pair: CameraPair) -> bool:
@@ -93,8 +117,9 @@ def why_unreliable(pair: CameraPair) -> str:
 
 def _initial_poses(
     pairs: dict[tuple[int, int], CameraPair], count: int
-) -> tuple[tuple[int, ...], Float[ndarray, "k 4 4"]]:
-    """The largest group of connected cameras, and their poses along the pairs that agree most often."""
+) -> tuple[tuple[int, ...], Float[ndarray, "k 4 4"], Float[ndarray, " k"]]:
+    """The largest group of connected cameras, and their poses and time offsets (seconds; the mean is 0) along the
+    pairs that agree most often."""
     links = np.zeros((count, count))
     for (a, b), pair in pairs.items():
         if is_reliable(pair):
@@ -104,13 +129,19 @@ def _initial_poses(
     cameras = np.flatnonzero(group == max(range(len(sizes)), key=sizes.__getitem__))
     tree = minimum_spanning_tree(csr_array(-links))
     order, parents = breadth_first_order(tree, int(cameras[0]), directed=False)
-    poses = {int(cameras[0]): np.eye(4)}
+    poses, late_s = {int(cameras[0]): np.eye(4)}, {int(cameras[0]): 0.0}
     for camera in order[1:].tolist():
         parent = int(parents[camera])
         low, high = min(camera, parent), max(camera, parent)
         low_from_high = pairs[low, high].a_from_b
+        late_s[camera] = late_s[parent] + pairs[low, high].late_s * (1 if parent == low else -1)
         poses[camera] = poses[parent] @ (low_from_high if parent == low else rigid_inverse(low_from_high))
-    return tuple(cameras.tolist()), np.stack([poses[camera] for camera in cameras.tolist()])
+    offset_s = np.array([late_s[camera] for camera in cameras.tolist()])
+    return (
+        tuple(cameras.tolist()),
+        np.stack([poses[camera] for camera in cameras.tolist()]),
+        offset_s - offset_s.mean(),
+    )
 
 
 def joint_rows(poses: Float[ndarray, "k 4 4"], skeletons: Skeletons) -> list[ResidualRows]:

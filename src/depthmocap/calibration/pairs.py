@@ -41,12 +41,16 @@ class CameraPair:
         shared: number of frames in which both see the person.
         agreed: number of these in which the skeletons agree.
         distance_m: median distance of the joints in the agreeing frames (metres).
+        late_s: how much later than a camera b exposes, roughly (seconds); 0 where little or unknown.
+        time_told: False if their timestamps are apart, but it cannot be told by how much.
     """
 
     a_from_b: Float[ndarray, "4 4"]
     shared: int
     agreed: int
     distance_m: float
+    late_s: float = 0.0
+    time_told: bool = True
 
 
 def usable_joints(joints: Float[ndarray, "*n 18 3"], sigma_m: Float[ndarray, "*n 18"]) -> Bool[ndarray, "*n 18"]:

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.calibration.camera_placement import Placement, mean_joints
+from depthmocap.calibration.lateness import LONGEST_S
 from depthmocap.calibration.pairs import AGREES_M, LEAST_JOINTS, align, usable_joints
 from depthmocap.calibration.refine import RefinedPlacement
 from depthmocap.geometry import transform_points
@@ -56,6 +57,7 @@ class PairVerdict:
         surfaces_apart_mm: their median distance; None as above.
         uncertainty_mm: of the person's position in one camera as seen by the other (three standard deviations).
         uncertainty_deg: of the rotation between the two cameras (three standard deviations).
+        time_told: False if their timestamps are apart, but it cannot be told by how much: such a pair is poor.
     """
 
     cameras: tuple[str, str]
@@ -67,10 +69,13 @@ class PairVerdict:
     surfaces_apart_mm: float | None
     uncertainty_mm: float
     uncertainty_deg: float
+    time_told: bool = True
 
     @property
     def grade(self) -> Grade:
         """The grade of the pair's uncertainty."""
+        if not self.time_told:
+            return "poor"
         grades: tuple[tuple[Grade, tuple[float, float]], ...] = (("good", GOOD), ("fair", FAIR))
         for grade, (metres, degrees) in grades:
             if self.uncertainty_mm <= 1e3 * metres and self.uncertainty_deg <= degrees:
@@ -105,6 +110,7 @@ def judge_pairs(names: Sequence[str], placement: Placement, refined: RefinedPlac
                 points, None if points is None else 1e3 * refined.distances_m[a, b][1],
                 1e3 * _SIGMAS * float(np.hypot(_rms(displacement), _LEAST_M)),
                 _SIGMAS * float(np.hypot(np.rad2deg(_rms(difference[:, :3])), _LEAST_DEG)),
+                (a, b) not in placement.untold,
             )
         )  # fmt: skip
     return verdicts
@@ -130,16 +136,33 @@ def find_warnings(names: Sequence[str], placement: Placement, pairs: Sequence[Pa
             )
     hips = mean_joints(placement.poses, placement.skeletons)[:, JOINT_INDEX["Hip"]]
     hips = hips[np.isfinite(hips).all(1)]
-    if np.sqrt(np.linalg.eigvalsh(np.cov(hips.T))[1]) < NARROW_M:
+    if len(hips) > 1 and np.sqrt(np.linalg.eigvalsh(np.cov(hips.T))[1]) < NARROW_M:
         warnings.append("the person kept near to one place or line: walk over the whole floor that the cameras see")
-    for name, offset_s, error_s in zip(names, placement.offset_s, placement.offset_sigma_s, strict=True):
-        if abs(offset_s) > max(OFFSET_S, OFFSET_SIGMAS * error_s):
-            warnings.append(
-                f"camera {name!r} looks {1e3 * abs(offset_s):.0f} ± {1e3 * error_s:.0f} ms "
-                f"{'later' if offset_s > 0 else 'earlier'} than its timestamps say, against the mean of all; the "
-                "calibration allows for it, motion capture does not"
-            )
+    for a, b in placement.untold:
+        warnings.append(
+            f"cannot tell the time offset of {camera_list([names[a], names[b]])}: their timestamps are apart by more "
+            f"than the {LONGEST_S:g} s that are searched, or the person moved too evenly to tell; put their clocks in "
+            "step, and walk in turns and straight lines with the arms moving"
+        )
+    for name, offset_s in late_cameras(names, placement).items():
+        error_s = placement.offset_sigma_s[names.index(name)]
+        warnings.append(
+            f"camera {name!r} looks {1e3 * abs(offset_s):.0f} ± {1e3 * error_s:.0f} ms "
+            f"{'later' if offset_s > 0 else 'earlier'} than its timestamps say, against the mean of all; the "
+            "calibration allows for it, motion capture does not"
+        )
     return warnings
+
+
+def late_cameras(names: Sequence[str], placement: Placement) -> dict[str, float]:
+    """Time offsets (seconds) that are significant, by camera; none if one of them cannot be told."""
+    if placement.untold:
+        return {}
+    return {
+        name: float(offset_s)
+        for name, offset_s, error_s in zip(names, placement.offset_s, placement.offset_sigma_s, strict=True)
+        if abs(offset_s) > max(OFFSET_S, OFFSET_SIGMAS * error_s)
+    }
 
 
 def _turn_deg(a: Float[ndarray, "n 3"], b: Float[ndarray, "n 3"]) -> float:
