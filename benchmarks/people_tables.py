@@ -10,6 +10,8 @@ from depthmocap.evaluate.posture_scenarios import ACTS
 
 PAGES = ("docs/results/people.md",)
 WAYS = ("auto", "network", "background")
+#: Those that make use of the empty scene.
+STATIC = ("auto", "background")
 #: What happens in an act, where its name does not say it.
 _ACTS = {
     "lies down": "lies down and gets up",
@@ -34,24 +36,16 @@ RETURNS = ("two, unlike", "two, alike", "three, unlike", "three, alike", "two an
 def measurements(clips: str, scale: Scale) -> dict[str, Measurement]:
     """By name: the commands that these tables name."""
     people = ("evaluate", "people")
-    background = ("--segment", "background")
+    static = ("--segment", *STATIC)
     slow = ("--rate-hz", "1" if scale.quick else "10")
     two = str(min(2, scale.meetings))
     words = {
         "people_postures": (*people, "--scenario", "postures", "--scenes", "1", "--segment", *WAYS),
-        "people_rooms": (*people, "--scenario", "rooms", "--scenes", str(scale.rooms), "--segment", "auto"),
-        "people_rooms_background": (
-            *people,
-            "--scenario",
-            "rooms",
-            "--scenes",
-            str(scale.rooms * 5 // 3),
-            *background,
-        ),
-        "people_meeting": (*people, "--scenes", str(scale.meetings), "--no-joints", *background),
-        "people_joints": (*people, "--scenes", two, *background, *slow),
-        "people_returns": (*people, "--scenario", "returns", "--scenes", "1", *background, *slow),
-        "people_beside": (*people, "--scenario", "beside", "--scenes", two, *background, *slow),
+        "people_rooms": (*people, "--scenario", "rooms", "--scenes", str(scale.rooms), *static),
+        "people_meeting": (*people, "--scenes", str(scale.meetings), "--no-joints", *static),
+        "people_joints": (*people, "--scenes", two, "--segment", "auto", *slow),
+        "people_returns": (*people, "--scenario", "returns", "--scenes", "1", *static, *slow),
+        "people_beside": (*people, "--scenario", "beside", "--scenes", two, *static, *slow),
     }
     return {name: Measurement(each) for name, each in words.items()}
 
@@ -83,10 +77,7 @@ def postures(numbers: dict[str, Any]) -> list[str]:
 
 def rooms(numbers: dict[str, Any]) -> list[str]:
     """Rooms without anybody."""
-    rows = {
-        "auto": numbers["people_rooms"]["rooms without people, auto"],
-        "background": numbers["people_rooms_background"]["rooms without people, background"],
-    }
+    rows = {way: numbers["people_rooms"][f"rooms without people, {way}"] for way in STATIC}
     return [
         f"| | {' | '.join(f'`{way}`' for way in rows)} |",
         "|---|---|---|",
@@ -99,10 +90,11 @@ def rooms(numbers: dict[str, Any]) -> list[str]:
 def meeting(numbers: dict[str, Any]) -> list[str]:
     """Two people who cross."""
     rows = {
-        "background known": numbers["people_meeting"]["meeting, background, background known"],
-        "background learnt on the run": numbers["people_meeting"]["meeting, background"],
+        f"`{way}`, the empty scene {text}": numbers["people_meeting"][f"meeting, {way}{key}"]
+        for text, key in (("known", ", background known"), ("learnt on the run", ""))
+        for way in STATIC
     }
-    known = rows["background known"]
+    known = next(iter(rows.values()))
     scenes = numbers["people_meeting"]["settings"]["scenes"]
     lines = [
         f"| Masks, {scenes} scenes ({known['sets']:,} sets, {known['arrivals']} arrivals) | overlap with the truth "
@@ -132,29 +124,34 @@ def joints(numbers: dict[str, Any]) -> list[str]:
 def returns(numbers: dict[str, Any]) -> list[str]:
     """Who gets the old number on return."""
     lines = [
-        "| Returns | old number, new, somebody else's | first mask of an arrival after s, median |",
+        "| Old number, new, somebody else's; found; first mask of an arrival after s, median | "
+        + " | ".join(f"`{way}`" for way in STATIC)
+        + " |",
         "|---|---|---|",
     ]
     for name in RETURNS:
-        row = numbers["people_returns"][f"{name}, background, background known"]
-        counts = f"{row['returns_old']}, {row['returns_new']}, {row['returns_wrong']}"
+        cells = []
+        for way in STATIC:
+            row = numbers["people_returns"][f"{name}, {way}, background known"]
+            counts = f"{row['returns_old']}, {row['returns_new']}, {row['returns_wrong']}"
+            cells.append(f"{counts}; {share(row['found_share'])}; {_seconds(row['first_mask_s_p50'])}")
         text = f"{name} among them, unlike" if name.endswith("newcomer") else name
-        lines.append(f"| {text} | {counts} | {_seconds(row['first_mask_s_p50'])} |")
+        lines.append(f"| {text} | {' | '.join(cells)} |")
     return lines
 
 
 def beside(numbers: dict[str, Any]) -> list[str]:
     """Somebody who stands at furniture from the start."""
-    row, scenes = (
-        numbers["people_beside"]["beside furniture, background"],
-        numbers["people_beside"]["settings"]["scenes"],
-    )
-    return [
+    rows, scenes = numbers["people_beside"], numbers["people_beside"]["settings"]["scenes"]
+    lines = [
         f"| {scenes} scenes | overlap with the truth (5 % quantile) | found | first mask after s, median (most) | "
         "sets with a ghost |",
         "|---|---|---|---|---|",
-        f"| | {_overlap(row)} | {_first_mask(row)} | {row['ghost_sets']} of {row['sets']} |",
     ]
+    for way in STATIC:
+        row = rows[f"beside furniture, {way}"]
+        lines.append(f"| `{way}` | {_overlap(row)} | {_first_mask(row)} | {row['ghost_sets']} of {row['sets']} |")
+    return lines
 
 
 TABLES = {

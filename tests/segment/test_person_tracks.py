@@ -33,7 +33,8 @@ def joined(*votes):
     return Votes(*(np.concatenate([getattr(each, name) for each in votes]) for name in names))
 
 
-NOBODY = Votes(*(np.zeros(shape, np.float32) for shape in ((0, 3), (0, 3), 0, 0)), np.zeros(0, np.bool_))
+NOTHING, NOWHERE = np.zeros(0, np.float32), np.zeros((0, 3), np.float32)
+NOBODY = Votes(NOWHERE, NOWHERE, NOTHING, NOTHING, np.zeros(0, np.bool_))
 
 
 def numbers(tracker):
@@ -109,6 +110,26 @@ def test_two_tracks_of_one_person_become_one(rng):
         tracker.update(joined(person(rng, 0.0, 0.0), person(rng, gap, 0.0, area=0.3)), i / RATE)
         assert len(numbers(tracker)) <= 2
     assert numbers(tracker) == [1]
+
+
+def test_a_limb_that_votes_for_itself_is_nobody(rng):
+    tracker = PersonTracker()
+    for i in range(RATE * 3):
+        votes = [person(rng, 0.0, 0.0, lying=True, area=1.0)]
+        if i > RATE:
+            votes.append(person(rng, 0.65, 0.0, lying=True, area=0.2, spread=0.05))
+        tracker.update(joined(*votes), i / RATE)
+        assert numbers(tracker) in ([], [1])
+
+
+def test_who_comes_to_somebody_is_another_person(rng):
+    tracker = PersonTracker()
+    for i in range(RATE * 3):
+        votes = [person(rng, 0.0, 0.0)]
+        if i > RATE:
+            votes.append(person(rng, 0.8, 0.0))
+        tracker.update(joined(*votes), i / RATE)
+    assert numbers(tracker) == [1, 2]
 
 
 def test_who_is_hidden_for_seconds_is_known_by_the_place(rng):

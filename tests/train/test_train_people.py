@@ -105,7 +105,7 @@ def test_a_run_trains_resumes_and_exports_what_the_detector_reads(
     pictures = np.stack([example.inputs for example in examples[:6]])
     with torch.no_grad():
         exact = trained(torch.from_numpy(pictures)).numpy()
-    (exported,) = onnxruntime.InferenceSession(network).run(None, {"cells": pictures})
+    exported = np.asarray(onnxruntime.InferenceSession(network).run(None, {"cells": pictures})[0])
     assert np.corrcoef(exported[:, :4].ravel(), exact[:, :4].ravel())[0, 1] > 0.99
 
 

@@ -328,9 +328,9 @@ class FirstPersonErrors:
         classifier, estimator = Classifier(), load_estimator()
         segmenters: dict[str, Segmenter] = {
             "with true masks": _TrueMasks(),
-            "by all cameras": PeopleSegmenter(scene.backgrounds_m),
+            "by all cameras": NetworkSegmenter(scene.backgrounds_m),
             "by each view": _SingleView(PersonSegmenter(scene.backgrounds_m)),
-            "alone": PeopleSegmenter(scene.backgrounds_m),
+            "alone": NetworkSegmenter(scene.backgrounds_m),
         }
         self._pipelines = {name: Pipeline(classifier, estimator, segmenter) for name, segmenter in segmenters.items()}
         self._errors: dict[str, list[float]] = {name: [] for name in segmenters}

@@ -53,6 +53,9 @@ BEFORE, BEFORE_CERTAINTY = 0.7, 0.35
 MOVED_BEFORE_CERTAINTY = 0.18
 #: A track unseen for this time ends (seconds); one that is no person yet ends sooner.
 GONE_S, UNBORN_S = 1.0, 0.3
+#: What appears this near to somebody (metres) may be a limb that votes for itself: it needs this time (seconds) and
+#: this surface (m²) to be another person.
+BESIDE_M, BESIDE_S, BESIDE_M2 = 1.3, 0.6, 0.3
 #: Two tracks nearer to each other than this (metres) are one person, if the younger is no older than this (seconds)
 SAME_M, SAME_S = 0.3, 1.0
 #: or if they were never farther apart for this time (seconds): two people who embrace are farther apart.
@@ -92,7 +95,7 @@ class PersonTrack:
         before: average share of the surface that is where the scene was seen empty.
         start_m: where the track began.
         apart_s: when no older track was nearer than ``SAME_M`` last.
-        born_alone: whether nobody was near where it began: it is nobody's part.
+        born_alone: whether nobody was known near where it began: it is nobody's part.
         sets, missed_sets: in how many sets it was seen, and in how many it has been hidden since.
         statures_m: measured while the person was upright and in full view.
     """
@@ -206,7 +209,9 @@ class PersonTracker:
                     predicted_m=centre.astype(float),
                     start_m=centre.astype(float),
                     apart_s=now_s - 1e-6,
-                    born_alone=all(np.linalg.norm(centre - other.centre_m) > PART_M for other in self.active),
+                    born_alone=all(
+                        np.linalg.norm(centre - other.centre_m) > BESIDE_M for other in self.active if other.number
+                    ),
                 )
             )
         certainties = _certainties(votes, owners, len(centres))
@@ -219,7 +224,7 @@ class PersonTracker:
         labels = np.array([0, *(track.label for track in self.active)])[
             np.where(owners < len(self.active), owners, -1) + 1
         ]
-        self._end(now_s)
+        self._end(votes, now_s)
         for track in self.active:
             if not track.number and track.area_m2 > 0:
                 if probability is not None:
@@ -227,12 +232,12 @@ class PersonTracker:
                 self._identify(track, now_s)
         return np.where(np.isin(labels, [track.label for track in self.active]), labels, 0)
 
-    def _end(self, now_s: float) -> None:
+    def _end(self, votes: Votes, now_s: float) -> None:
         """End tracks that are gone, and young ones that are a part of another."""
         kept: list[PersonTrack] = []
         for track in sorted(self.active, key=lambda track: (track.number == 0, track.start_s)):
             unseen_s = now_s - track.last_seen_s
-            if all(np.linalg.norm(track.centre_m - other.centre_m) >= SAME_M for other in kept):
+            if not any(_is_same(track, other, votes) for other in kept):
                 track.apart_s = now_s
             same = track.apart_s < now_s and (now_s - track.start_s < SAME_S or now_s - track.apart_s > DOUBLE_S)
             gone = unseen_s > GONE_S if track.number else unseen_s > UNBORN_S and track.missed_sets > 1
@@ -254,6 +259,8 @@ class PersonTracker:
             needed = MOVED_BEFORE_CERTAINTY if moved else BEFORE_CERTAINTY
         else:
             needed = MOVED_CERTAINTY if moved else float(np.interp(track.area_m2, CERTAINTY_M2, CERTAINTY))
+        if not track.born_alone and (age_s < BESIDE_S or track.area_m2 < BESIDE_M2):
+            return
         at_once = track.area_m2 > AT_ONCE_M2 and track.certainty > AT_ONCE_CERTAINTY
         if ((track.sets < SETS_NEEDED or age_s < CERTAIN_S) and not at_once) or track.certainty < needed:
             return
@@ -270,6 +277,14 @@ class PersonTracker:
         else:
             self._departed.remove(match)
             track.number = match.number
+
+
+def _is_same(track: PersonTrack, older: PersonTrack, votes: Votes) -> bool:
+    """Whether a track seems to be of the same person as an older one."""
+    distance = np.linalg.norm(track.centre_m - older.centre_m)
+    if distance < SAME_M or track.born_alone or distance > PART_M or not track.area_m2 or not older.area_m2:
+        return bool(distance < SAME_M)
+    return _one_heap(votes, older.centre_m, track.centre_m)
 
 
 def _certainties(votes: Votes, owners: Int[ndarray, " n"], count: int) -> Float[ndarray, " k"]:
