@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 #: Invisible joiners within words of some scripts, which are harmless.
 _JOINERS = "\u200c\u200d"
@@ -47,6 +47,12 @@ def camera_list(names: Sequence[str]) -> str:
     """``camera 'a'``, or ``cameras 'a', 'b' and 'c'``."""
     *first, last = map(repr, names)
     return f"cameras {', '.join(first)} and {last}" if first else f"camera {last}"
+
+
+def offset_lines(offsets_s: Mapping[str, float]) -> list[str]:
+    """A line for the user on the time offsets that are added to cameras' timestamps; none without any."""
+    offsets = [f"{name!r} {1e3 * offset_s:+.1f} ms" for name, offset_s in offsets_s.items() if offset_s]
+    return [f"time offsets of the rig, added to timestamps: {', '.join(offsets)}"] if offsets else []
 
 
 def joined(lines: Iterable[str], most: int = 2) -> str:

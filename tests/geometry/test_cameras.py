@@ -130,7 +130,9 @@ def test_to_metres() -> None:
 
 def test_rig_round_trip(tmp_path: Path) -> None:
     lens = LENSES["kinect 2"]
-    rig = Rig((make_camera("left", distortion=lens, depth_unit_m=0.0002), make_camera("right")), "-y")
+    rig = Rig(
+        (make_camera("left", distortion=lens, depth_unit_m=0.0002, time_offset_s=-0.125), make_camera("right")), "-y"
+    )
     save_rig(rig, tmp_path / "rig.json")
     loaded = load_rig(tmp_path / "rig.json")
     assert loaded.names == ("left", "right")
@@ -201,6 +203,8 @@ def _mirrored(document: dict[str, Any]) -> None:
         (_set("height", -48), "picture is 64×-48"),
         (_set("height", 0), "picture is 64×0"),
         (lambda d: d["cameras"][1].update(width=60000, height=60000), "picture is 60000×60000.*at most 64 million"),
+        (_set("time_offset_s", 4000), "time_offset_s must be -3600 to 3600 seconds, got 4000"),
+        (_set("time_offset_s", "late"), "time_offset_s"),
         (_set("depth_unit_m", 0), "depth_unit_m must be 1e-07 to 1 metres, got 0"),
         (_set("distortion", [0.1, 0.2]), r"distortion \[k1, k2, p1, p2, k3\] must be 5 numbers"),
         (_set("distortion", {"k1": 0.1}), r"distortion \[k1, k2, p1, p2, k3\] must be 5 numbers"),

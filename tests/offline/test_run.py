@@ -330,3 +330,24 @@ def test_a_filter_that_waits_loses_no_frame_and_keeps_their_times(recording, tmp
         assert summary["error"]["joints_observed"] == 6 * len(JOINTS)
         assert summary["error"]["mean_joint_error_cm"] < 8
         assert summary["smoothing"]["delay_frames"] == (frames if name == "fixed-lag" else 0)
+
+
+def test_time_offsets_of_the_rig_bring_late_frames_into_their_sets(recording, tmp_path, capsys):
+    path = copy(recording, tmp_path)
+    for frame in sorted((path / "cam1").glob("[0-9]*.png")):  # downwards in time: no name is taken
+        frame.rename(frame.with_name(f"{int(frame.stem) - 150_000_000}.png"))
+    rig = load_rig(path / "rig.json")
+    late = [dataclasses.replace(c, time_offset_s=0.15 if c.name == "cam1" else 0.0) for c in rig.cameras]
+    save_rig(Rig(tuple(late)), path / "rig.json")
+    command = ["run", str(path), "--out", str(tmp_path / "out"), "--segment", "none", "--no-report"]
+    assert main(command) == 0
+    summary = read_summary(tmp_path / "out")
+    assert summary["time_offsets_s"] == {"cam1": 0.15}
+    assert (summary["frames"], summary["frames_by_camera"]) == (6, {"cam0": 6, "cam1": 6, "cam2": 6})
+    assert "added to timestamps: 'cam1' +150.0 ms" in " ".join(capsys.readouterr().err.split())
+    # A rig that is given instead has its own offsets; time may begin below 0.
+    early = [dataclasses.replace(c, time_offset_s=c.time_offset_s - 3) for c in late]
+    save_rig(Rig(tuple(early)), tmp_path / "early.json")
+    assert main([*command, "--rig", str(tmp_path / "early.json")]) == 0
+    assert read_summary(tmp_path / "out")["frames"] == 6
+    assert read_summary(tmp_path / "out")["first_timestamp_ns"] == 1_000_000_000 - 3_000_000_000

@@ -228,6 +228,30 @@ def test_a_known_latency_is_taken_off():
     assert {left.skew_ns for left in sync.flush()} == {0}
 
 
+def test_time_offsets_bring_late_and_early_cameras_into_one_set():
+    sync, late_ns = Synchroniser(SyncSettings(RATE)), 250_000_000
+    sync.add_camera("early", offset_ns=late_ns // 2)
+    sync.add_camera("late", offset_ns=-late_ns // 2)
+    frames = [
+        DepthFrame(name, np.zeros((1, 1), np.uint16), number, name, round(number * PERIOD_NS) + shift_ns + 10**12)
+        for number in range(60)
+        for name, shift_ns in (("early", 0), ("late", late_ns))
+    ]
+    frames = [dataclasses.replace(frame, timestamp_ns=frame.arrival_ns) for frame in frames]
+    sets = []
+    for frame in sorted(frames, key=lambda frame: frame.arrival_ns):
+        while (due_ns := sync.next_deadline_ns()) is not None and due_ns < frame.arrival_ns:
+            sets += sync.poll(due_ns)
+        sync.add(frame)
+        sets += sync.poll(frame.arrival_ns)
+    sets += sync.flush()
+    assert len(sets) == 60
+    assert {synced.skew_ns for synced in sets} == {0}
+    assert all(set(synced.frames) == {"early", "late"} for synced in sets)
+    with pytest.raises(InputError, match="time_offset_s of 3: sets of running cameras wait for at most 2 s"):
+        sync.add_camera("other", offset_ns=3 * 10**9)
+
+
 def test_frames_of_unknown_cameras_are_ignored():
     sync = Synchroniser()
     assert sync.add(DepthFrame("stranger", np.zeros((1, 1), np.uint16), 0, "host", 0)) is None

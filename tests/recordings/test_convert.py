@@ -36,8 +36,11 @@ def folder(tmp_path: Path) -> Path:
     rng = np.random.default_rng(0)
     cameras = (
         DepthCamera("a", 24, 16, 20.5, 21.0, 12.1, 8.2, look_at(np.array([0.3, -3, 1.1]), np.array([0.0, 0, 1]))),
-        DepthCamera("b", 16, 12, 15.0, 15.0, 8.0, 6.0, distortion=(0.1, 0.2, 0.0, 0.0, 0.3), depth_unit_m=0.00025),
-    )
+        DepthCamera(
+            "b", 16, 12, 15.0, 15.0, 8.0, 6.0,
+            distortion=(0.1, 0.2, 0.0, 0.0, 0.3), depth_unit_m=0.00025, time_offset_s=-0.01,
+        ),
+    )  # fmt: skip
 
     def frame(camera: DepthCamera) -> np.ndarray:
         return bands((camera.height, camera.width), rng)

@@ -108,6 +108,11 @@ def test_sets_are_within_half_a_period_and_take_one_frame_a_camera() -> None:
     assert [s.timestamp_ns for s in group_stamps({"a": [EPOCH + 1], "b": [EPOCH + 4]}, 100)] == [EPOCH + 2]
 
 
+def test_time_offsets_move_sets_and_keep_timestamps() -> None:
+    sets = group_stamps({"a": [0, 100], "b": [250, 350]}, 100, {"a": 125, "b": -125})
+    assert [(s.timestamp_ns, dict(s.stamps)) for s in sets] == [(125, {"a": 0, "b": 250}), (225, {"a": 100, "b": 350})]
+
+
 def test_gaps_become_empty_sets_and_long_pauses_do_not() -> None:
     def at(stamp: int) -> StampSet:
         return StampSet(stamp, {"a": stamp})

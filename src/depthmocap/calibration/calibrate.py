@@ -18,9 +18,9 @@ from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.calibration.calibration_page import draw_clouds, pair_table, write_page
 from depthmocap.calibration.camera_placement import Placement, mean_joints, place_cameras, why_unreliable
 from depthmocap.calibration.observations import Observation, observe, subsample_timestamps
-from depthmocap.calibration.refine import refine
+from depthmocap.calibration.refine import RefinedPlacement, refine
 from depthmocap.calibration.upright import Upright, find_upright
-from depthmocap.calibration.verdict import PairVerdict, find_warnings, judge_pairs
+from depthmocap.calibration.verdict import PairVerdict, find_warnings, judge_pairs, late_cameras
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
@@ -29,10 +29,11 @@ from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry import Rig, save_rig, transform_points, z_up_from
+from depthmocap.geometry.depth_camera import time_offsets_s
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.recordings.recording import Recording
 from depthmocap.segment.static_scene import PersonSegmenter
-from depthmocap.text import camera_list, joined
+from depthmocap.text import camera_list, joined, offset_lines
 
 _GRADES = ("good", "fair", "poor")
 _FLOORS = {
@@ -150,7 +151,7 @@ def _solve(
     refined = refine(placement, placed, rng)
     empty_views = [View(observation.camera, observation.empty_m) for observation in placed]
     upright = find_upright(refined.poses, placement.skeletons, empty_views)
-    rig = _rig(placed, refined.poses, upright)
+    rig = _rig(placed, refined, upright, placement)
     pairs = judge_pairs(placed_names, placement, refined)
     warnings = [*find_warnings(placed_names, placement, pairs), *problems, *recording.problems]
     if not refined.surfaces_used:
@@ -167,13 +168,17 @@ def _solve(
     return Calibration(rig, upright.source, unplaced, pairs, warnings, offset_s, trajectory, clouds)
 
 
-def _rig(observations: list[Observation], poses: Float[ndarray, "k 4 4"], upright: Upright) -> Rig:
+def _rig(observations: list[Observation], refined: RefinedPlacement, upright: Upright, placement: Placement) -> Rig:
+    """The placed cameras. Time offsets are those of the recording's rig, and what was found, if it is significant."""
     cameras = [observation.camera for observation in observations]
-    world_poses = upright.world_from_old @ poses
+    offset_s = np.array([camera.time_offset_s for camera in cameras])
+    if late_cameras(tuple(camera.name for camera in cameras), placement):
+        offset_s = offset_s + placement.offset_s
+    offset_s = offset_s - offset_s.mean()
     return Rig(
         tuple(
-            dataclasses.replace(camera, world_from_camera=pose)
-            for camera, pose in zip(cameras, world_poses, strict=True)
+            dataclasses.replace(camera, world_from_camera=pose, time_offset_s=round(float(late_s), 6))
+            for camera, pose, late_s in zip(cameras, upright.world_from_old @ refined.poses, offset_s, strict=True)
         )
     )
 
@@ -227,6 +232,7 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
         _FLOORS[calibration.floor],
         *(f"Camera {name!r} is not in the rig: {reason}." for name, reason in calibration.unplaced.items()),
         *(f"Noticed: {warning}." for warning in calibration.warnings),
+        *(f"{line}."[0].upper() + f"{line}."[1:] for line in offset_lines(time_offsets_s(calibration.rig.cameras))),
     ]
     before = _in_z_up_world(
         {name: recording.rig[name].world_from_camera for name in calibration.rig.names}, recording.up
@@ -280,6 +286,7 @@ def _as_json(calibration: Calibration) -> dict[str, Any]:
         "unplaced": calibration.unplaced,
         "pairs": [{**dataclasses.asdict(pair), "verdict": pair.grade} for pair in calibration.pairs],
         "late_ms": {name: 1e3 * offset_s for name, offset_s in calibration.offset_s.items()},
+        "time_offset_s": {camera.name: camera.time_offset_s for camera in calibration.rig.cameras},
         "warnings": calibration.warnings,
     }
 

@@ -77,7 +77,7 @@ def observe(
             mask = None if view is None else _person_mask(view, segmenter)
             if view is not None and mask is not None:
                 (prediction,) = classifier.label_views([view], [mask])
-                times_s.append(timestamp_ns / 1e9)
+                times_s.append(timestamp_ns / 1e9 + camera.time_offset_s)
                 joints.append(prediction.joints)
                 moment = int(times_s[-1] // MOMENT_S)
                 if moment not in person:

@@ -148,8 +148,8 @@ def find_warnings(names: Sequence[str], placement: Placement, pairs: Sequence[Pa
         error_s = placement.offset_sigma_s[names.index(name)]
         warnings.append(
             f"camera {name!r} looks {1e3 * abs(offset_s):.0f} ± {1e3 * error_s:.0f} ms "
-            f"{'later' if offset_s > 0 else 'earlier'} than its timestamps say, against the mean of all; the "
-            "calibration allows for it, motion capture does not"
+            f"{'later' if offset_s > 0 else 'earlier'} than its timestamps say, against the mean of all; "
+            "rig.json tells it as time_offset_s, and run, live and evaluate allow for it"
         )
     return warnings
 

@@ -81,6 +81,7 @@ class Summary(TypedDict):
     skew_ms: Quantiles | None
     cameras: dict[str, dict[str, Any]]
     cameras_apart_cm: dict[str, float]
+    time_offsets_s: dict[str, float]
     error: dict[str, Any] | None
     problems: list[Problem]
 
@@ -214,6 +215,7 @@ def make_summary(take: Take, numbers: Mapping[str, Any], person: int | None = No
         "skew_ms": None,
         "cameras": {},
         "cameras_apart_cm": {},
+        "time_offsets_s": {},
         "error": None,
         "problems": [{"text": text, "times": times} for text, times in problems.items()],
     }
@@ -256,7 +258,7 @@ def check_summary(path: Path, document: Any) -> Summary:
         raise InputError(f"{path} is no summary of run or live of this version: it has no schema; run it again")
     if schema != SCHEMA:
         raise InputError(f"{path} has the schema {schema!r}, and this version reads {SCHEMA}: run it again")
-    document = {"up": "z", **document}  # which the first summaries do not have
+    document = {"up": "z", "time_offsets_s": {}, **document}  # which the first summaries do not have
     if absent := [key for key in Summary.__annotations__ if key not in document]:
         raise InputError(f"{path} lacks {', '.join(absent[:4])}: it was changed since it was written; run it again")
     return cast(Summary, document)

@@ -31,6 +31,8 @@ _FOCAL_PX = (1.0, 1e6, "pixels")
 _CENTRE_PX = (-1e6, 1e6, "pixels")
 #: Range of the length of a depth unit.
 _UNIT_M = (1e-7, 1.0, "metres")
+#: Range of time offsets.
+_OFFSET_S = (-3600.0, 3600.0, "seconds")
 #: Least share of the image in which a lens model must be invertible: the widest mode of an Azure Kinect has a half.
 _LEAST_INVERTIBLE = 0.3
 #: Number of columns and rows at which a lens model is tested.
@@ -44,6 +46,7 @@ class DepthCamera:
     """A calibrated depth camera. Camera frame: x right, y down, z forward; an integer pixel is its centre.
 
     ``distortion`` is OpenCV's (k1, k2, p1, p2, k3). ``depth_unit_m`` is the length of one raw depth unit.
+    ``time_offset_s`` is to be added to the camera's timestamps, where frames become sets.
     """
 
     name: str
@@ -56,10 +59,16 @@ class DepthCamera:
     world_from_camera: Float[ndarray, "4 4"] = dataclasses.field(default_factory=lambda: np.eye(4))
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     depth_unit_m: float = 0.001
+    time_offset_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Raises InputError for an invalid name."""
         check_camera_name(self.name)
+
+    @property
+    def time_offset_ns(self) -> int:
+        """``time_offset_s`` in nanoseconds."""
+        return round(self.time_offset_s * 1e9)
 
     @property
     def matrix(self) -> Float[ndarray, "3 3"]:
@@ -184,6 +193,11 @@ class Rig:
         return tuple(camera.name for camera in self.cameras)
 
 
+def time_offsets_s(cameras: Iterable[DepthCamera]) -> dict[str, float]:
+    """The time offsets (seconds) of the cameras that have one, by name."""
+    return {camera.name: camera.time_offset_s for camera in cameras if camera.time_offset_s}
+
+
 def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
     where = f"{path}: camera {index}"
     if not isinstance(entry, dict):
@@ -195,6 +209,7 @@ def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
     width, height = (whole_number(entry[key], f"{where}: {key}") for key in ("width", "height"))
     numbers = {key: number(entry[key], f"{where}: {key}") for key in ("fx", "fy", "cx", "cy")}
     unit = number(entry.get("depth_unit_m", 0.001), f"{where}: depth_unit_m")
+    offset_s = number(entry.get("time_offset_s", 0.0), f"{where}: time_offset_s")
     distortion = array(entry.get("distortion", [0.0] * 5), (5,), f"{where}: distortion [k1, k2, p1, p2, k3]").tolist()
     pose = array(entry.get("world_from_camera", np.eye(4).tolist()), (4, 4), f"{where}: world_from_camera")
     k1, k2, p1, p2, k3 = distortion
@@ -205,7 +220,7 @@ def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
         raise InputError(f"{path}: {error}") from None
     camera = DepthCamera(
         name, width, height, **numbers, world_from_camera=pose,
-        distortion=(k1, k2, p1, p2, k3), depth_unit_m=unit,
+        distortion=(k1, k2, p1, p2, k3), depth_unit_m=unit, time_offset_s=offset_s,
     )  # fmt: skip
     check_camera(camera, where)
     return camera
@@ -222,7 +237,10 @@ def check_camera(camera: DepthCamera, where: str) -> None:
             a small part of the image, or the pose is not rigid.
     """
     check_picture_size(camera.width, camera.height, f"{where}: the picture")
-    bounds = {"fx": _FOCAL_PX, "fy": _FOCAL_PX, "cx": _CENTRE_PX, "cy": _CENTRE_PX, "depth_unit_m": _UNIT_M}
+    bounds = {
+        "fx": _FOCAL_PX, "fy": _FOCAL_PX, "cx": _CENTRE_PX, "cy": _CENTRE_PX, "depth_unit_m": _UNIT_M,
+        "time_offset_s": _OFFSET_S,
+    }  # fmt: skip
     for key, (least, most, unit) in bounds.items():
         if not least <= getattr(camera, key) <= most:
             raise InputError(f"{where}: {key} must be {least:g} to {most:g} {unit}, got {getattr(camera, key):g}")
@@ -310,6 +328,7 @@ def save_rig(rig: Rig, path: Path) -> None:
             **{key: getattr(camera, key) for key in ("name", "width", "height", "fx", "fy", "cx", "cy")},
             "distortion": list(camera.distortion),
             "depth_unit_m": camera.depth_unit_m,
+            **({"time_offset_s": camera.time_offset_s} if camera.time_offset_s else {}),
             "world_from_camera": camera.world_from_camera.tolist(),
         }
         for camera in rig.cameras

@@ -27,6 +27,7 @@ from depthmocap.exporting.result_files import NO_PERSON, PeopleFiles, PoseFiles,
 from depthmocap.exporting.run_result import RunResult
 from depthmocap.exporting.summary import Quantiles, Summary, Take, count_problems, problem_lines, unsure_lines
 from depthmocap.frames import FrameSet, FrameSource, Pose
+from depthmocap.geometry.depth_camera import time_offsets_s
 from depthmocap.offline.pipeline import STAGES, Pipeline, Result, warm_up
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline, open_source
 from depthmocap.offline.run_report import Pictures, write_run_report
@@ -34,7 +35,7 @@ from depthmocap.pose.extrinsics_check import ExtrinsicsCheck
 from depthmocap.recordings.recording import Recording
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
 from depthmocap.segment.load_segmenter import Segmentation
-from depthmocap.text import camera_list, joined
+from depthmocap.text import camera_list, joined, offset_lines
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,6 +103,7 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
         capture.finish()
         files.numbers = {
             **capture.numbers(),
+            "time_offsets_s": time_offsets_s(source.rig.cameras) if isinstance(source, Recording) else {},
             "interrupted": interrupted,
             "problems": count_problems(
                 dict.fromkeys(capture.misplaced), source.problems, pipeline.segment.problems, people_files.problems
@@ -236,6 +238,8 @@ def _tell(summary: Summary, out: Path, console: Console) -> None:
     """What came of it, and what was wrong."""
     gaps = f", {summary['gaps']} without a person" if summary["gaps"] else ""
     console.print(f"{summary['frames']} frames{gaps}; written to {out}")
+    for line in offset_lines(summary["time_offsets_s"]):
+        console.print(f"  {line}")
     for problem in _few([*unsure_lines(summary), *problem_lines(summary["problems"])]):
         console.print(f"  {problem}")
 

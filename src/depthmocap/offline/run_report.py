@@ -17,6 +17,7 @@ from depthmocap.report.charts import joint_error_bars, precision_curve
 from depthmocap.report.drawing import animation, cloud_picture, labelled_depth_strip
 from depthmocap.report.metrics import joint_metrics
 from depthmocap.report.page import ReportFigure, ReportSection, ReportTable, write_report
+from depthmocap.text import offset_lines
 
 #: Frames of the preview and stills of the report, at most.
 _PREVIEW, _STILLS = 60, 3
@@ -137,7 +138,7 @@ def _overview(summary: Summary) -> ReportSection:
         f"{summary['gaps']} frames without a person.",
         f"Recording: `{summary['sources'][0]}`. Machine: {summary['machine']}. depthmocap {summary['version']}.",
     ]
-    facts += unsure_lines(summary)
+    facts += [*offset_lines(summary["time_offsets_s"]), *unsure_lines(summary)]
     if summary["problems"]:
         facts.append("Noticed:\n" + "\n".join(problem_lines(summary["problems"])))
     return ReportSection("Overview", tuple(facts), tables=(stages, cameras))

@@ -36,7 +36,7 @@ class FrameIngest:
     def add_camera(self, camera: DepthCamera) -> None:
         """Expect frames of a camera; a camera that was there before continues."""
         if camera.name not in self.cameras:
-            self.sync.add_camera(camera.name)
+            self.sync.add_camera(camera.name, offset_ns=camera.time_offset_ns)
             self.faults[camera.name] = {}
         self.cameras[camera.name] = camera
         self._checks[camera.name] = HealthCheck(camera)

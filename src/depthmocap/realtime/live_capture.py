@@ -20,7 +20,7 @@ from depthmocap.cameras.registry import make_sources
 from depthmocap.cameras.source import DepthSource
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, FrameSource, Pose
-from depthmocap.geometry import Rig, check_extrinsics, load_rig
+from depthmocap.geometry import DepthCamera, Rig, check_extrinsics, load_rig
 from depthmocap.offline.pipeline import Pipeline, Result, warm_up
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline
 from depthmocap.pose.extrinsics_check import ExtrinsicsCheck
@@ -183,6 +183,11 @@ class LiveCapture:
         backgrounds = {source.name: source.raw_background for source in self._sources if source.name in opened}
         return {name: raw for name, raw in backgrounds.items() if raw is not None}
 
+    @property
+    def cameras(self) -> dict[str, DepthCamera]:
+        """The cameras that were opened and not removed, by name."""
+        return self.reader.cameras
+
     def apart_m(self) -> dict[str, float]:
         """How far apart the cameras see the person (metres), by the extrinsics check."""
         return self._extrinsics_check.distances_m()
@@ -276,6 +281,11 @@ class Replay:
             if recording.stamps(camera.name):
                 self.ingest.add_camera(camera)
         self.ingest.problems.update([*recording.problems, *self.pipeline.segment.problems])
+
+    @property
+    def cameras(self) -> dict[str, DepthCamera]:
+        """The cameras of the recording that have frames, by name."""
+        return dict(self.ingest.cameras)
 
     def __enter__(self) -> Replay:
         return self

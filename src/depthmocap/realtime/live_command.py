@@ -30,6 +30,7 @@ from depthmocap.exporting.stored_result import read_result
 from depthmocap.exporting.summary import Summary, Take, problem_lines, unsure_lines
 from depthmocap.frames import Pose
 from depthmocap.geometry import load_rig
+from depthmocap.geometry.depth_camera import time_offsets_s
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline
 from depthmocap.realtime.dashboard import draw_dashboard
 from depthmocap.realtime.live_capture import LiveCapture, Replay
@@ -40,7 +41,7 @@ from depthmocap.realtime.take_recording import TakeRecording
 from depthmocap.recordings.mcap_writer import check_name
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.streaming.stream_protocol import Stream
-from depthmocap.text import joined
+from depthmocap.text import joined, offset_lines
 
 if TYPE_CHECKING:
     from depthmocap.viewing.live_page import LivePage
@@ -268,6 +269,7 @@ def _finish_files(
         "smoothing": smoothing.describe() if smoothing else None,
         "cameras": cameras,
         "frames_by_camera": {name: status["counts"].get("used", 0) for name, status in cameras.items()},
+        "time_offsets_s": time_offsets_s(capture.cameras.values()),
         "cameras_apart_cm": {name: 100 * apart_m for name, apart_m in capture.apart_m().items()},
         "problems": {**capture.problems, **dict.fromkeys(people_files.problems if people_files else (), 1)},
     }
@@ -280,7 +282,11 @@ def _report(summary: Summary, out: Path | None, recorded: Sequence[Path], consol
         f"{summary['sets_dropped']} sets dropped, {summary['sets_before_ready']} before it was ready; "
         f"latency {latency['p50']:.0f} ms (p95 {latency['p95']:.0f} ms)"
     )
-    for line in [*(unsure_lines(summary) if out else []), *problem_lines(summary["problems"])]:
+    for line in [
+        *offset_lines(summary["time_offsets_s"]),
+        *(unsure_lines(summary) if out else []),
+        *problem_lines(summary["problems"]),
+    ]:
         console.print(f"• {line}")
     for path in (*([] if out is None else [out]), *recorded):
         console.print(f"written to {path}")

@@ -26,6 +26,8 @@ RECENT = 30
 GAIN = 1 / 16
 #: The rate may differ from the nominal one by this share.
 RATE_RANGE = 0.02
+#: Longest time offset of a camera (ns), because frames of the others wait for it.
+LONGEST_OFFSET_NS = 2_000_000_000
 #: A camera moves to the next slot if this brings the frames of a set closer together by at least this share of a
 #: period. A smaller gain is ignored, so that the camera does not alternate.
 MIN_MOVE_GAIN = 0.2
@@ -101,8 +103,8 @@ class CameraCounts:
 class _Camera:
     """The state of one camera."""
 
-    def __init__(self, latency_ns: int) -> None:
-        self.latency_ns, self.counts = latency_ns, CameraCounts()
+    def __init__(self, latency_ns: int, offset_ns: int) -> None:
+        self.latency_ns, self.offset_ns, self.counts = latency_ns, offset_ns, CameraCounts()
         self.clock: ClockTracker | None = None
         self.arrivals: collections.deque[int] = collections.deque(maxlen=RECENT)
         self.timestamps: collections.deque[int] = collections.deque(maxlen=RECENT)
@@ -147,19 +149,25 @@ class Synchroniser:
         self._last_ns: int | None = None
         self._first_arrival_ns: int | None = None
 
-    def add_camera(self, name: str, latency_ms: float = 0.0) -> None:
+    def add_camera(self, name: str, latency_ms: float = 0.0, offset_ns: int = 0) -> None:
         """Expect frames of a camera from now on.
 
         Args:
             latency_ms: least time from exposure to arrival, which the clocks do not tell. It matters if cameras
                 differ in it.
+            offset_ns: time offset, which is added to its timestamps. Sets wait for a camera whose offset is negative.
 
         Raises:
-            InputError: when there is a camera of this name.
+            InputError: when there is a camera of this name, or the offset is longer than sets can wait.
         """
+        if abs(offset_ns) > LONGEST_OFFSET_NS:
+            raise InputError(
+                f"camera {name!r} has a time_offset_s of {offset_ns / 1e9:g}: sets of running cameras wait for at most "
+                f"{LONGEST_OFFSET_NS / 1e9:g} s; run applies longer ones to recordings"
+            )
         if name in self._cameras:
             raise InputError(f"camera {name!r} is there already: names must differ")
-        self._cameras[name] = _Camera(round(latency_ms * 1e6))
+        self._cameras[name] = _Camera(round(latency_ms * 1e6), offset_ns)
 
     def remove_camera(self, name: str) -> None:
         """Ignore a camera from now on; frames that it has delivered stay in their sets."""
@@ -215,7 +223,7 @@ class Synchroniser:
         if host_ns is None:
             counts.unsure += 1
             return None
-        host_ns -= camera.latency_ns
+        host_ns += camera.offset_ns - camera.latency_ns
         self._assign(camera, frame, host_ns)
         return host_ns
 
@@ -251,7 +259,12 @@ class Synchroniser:
 
     def _deadline_ns(self, slot: int) -> int:
         phases = [camera.phase_ns for camera in self._cameras.values() if not camera.silent]
-        return round(self._slot_time_ns(slot) + max(phases, default=0) + self.settings.wait_ms * 1e6)
+        # A frame arrives later than its slot by what its timestamp was moved back.
+        delays = [
+            -camera.offset_ns for camera in self._cameras.values() if not (camera.silent and camera.counts.frames)
+        ]
+        due_ns = self._slot_time_ns(slot) + max(phases, default=0) + max(delays, default=0)
+        return round(due_ns + self.settings.wait_ms * 1e6)
 
     def _is_expected(self, name: str, camera: _Camera, slot: int, now_ns: int) -> bool:
         """Whether a set should wait for a camera, which runs and whose next frame may belong to this slot.

@@ -25,6 +25,7 @@ from depthmocap.recordings.mcap_writer import McapSink, McapWriter, check_name
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.recordings.recording import Recording
 from depthmocap.recordings.recording_writer import RecordingWriter
+from depthmocap.text import offset_lines
 
 #: Name endings of camera makers' files: every command takes such a name for a file, so no folder may have it.
 _FOREIGN = (".mkv", ".oni", ".bag")
@@ -200,6 +201,7 @@ def recording_info(recording: Recording) -> dict[str, Any]:
         cameras[camera.name] = {
             "size": [camera.width, camera.height],
             "depth_unit_m": camera.depth_unit_m,
+            "time_offset_s": camera.time_offset_s,
             "frames": len(stamps),
             "frames_per_second": 1e9 / period if period > 0 else None,
             "lost": int(np.maximum(np.rint(steps / period) - 1, 0).sum()) if period > 0 else 0,
@@ -248,6 +250,8 @@ def info(settings: InfoSettings, console: Console | None = None) -> dict[str, An
         f"{summary['sets']} sets in {summary['seconds']:.1f} s, {summary['megabytes']:.1f} MB, "
         f"{summary['compression']:.2f}:1, up is {summary['up']}, {summary['true_joints']} true poses"
     )
+    for line in offset_lines({name: camera["time_offset_s"] for name, camera in summary["cameras"].items()}):
+        console.print(line)
     for problem in summary["problems"]:
         console.print(f"• {problem}")
     return summary

@@ -248,11 +248,13 @@ class McapRecording(Recording):
             )
         where, matrix = f"{self.path}: camera {name!r}", calibration.matrix
         depth_unit = images.channel.metadata.get("depth_unit_m", "0.001") if images else "0.001"
+        offset = images.channel.metadata.get("time_offset_s", "0") if images else "0"
         k1, k2, p1, p2, k3 = calibration.distortion.tolist() or [0.0] * 5
         camera = DepthCamera(
             name, calibration.width, calibration.height, float(matrix[0, 0]), float(matrix[1, 1]),
             float(matrix[0, 2]), float(matrix[1, 2]), pose, (k1, k2, p1, p2, k3),
             number_from_text(depth_unit, f"{where}: depth_unit_m"),
+            number_from_text(offset, f"{where}: time_offset_s"),
         )  # fmt: skip
         check_camera(camera, where)
         return camera

@@ -203,6 +203,8 @@ class Topics:
         channels = self._sdk.channels
         channel = channels.RawImageChannel if self._coding == "raw" else channels.CompressedImageChannel
         metadata = {"kind": kind, "clock": clock, "coding": self._coding, "depth_unit_m": repr(camera.depth_unit_m)}
+        if camera.time_offset_s:
+            metadata["time_offset_s"] = repr(camera.time_offset_s)
         return channel(f"/{camera.name}/{kind}", metadata=metadata, context=self._context)
 
     def time(self, timestamp_ns: int) -> Any:

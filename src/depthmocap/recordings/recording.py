@@ -44,9 +44,10 @@ _USELESS: dict[Fault, str] = {
 class Recording(FrameSource):
     """A recording folder as a sequence of frame sets, which are read from disk on request.
 
-    Frames of different cameras within half a frame period of each other form one set. An instant at which no camera
-    delivered is a set without views. A bad frame is left out of its set and is a line in ``problems``. If sets are read
-    in order, frames of a faulty camera (``cameras.health``) are left out as well, and share one line.
+    Frames of different cameras within half a frame period of each other, with the time offsets in the rig added, form
+    one set. An instant at which no camera delivered is a set without views. A bad frame is left out of its set and is
+    a line in ``problems``. If sets are read in order, frames of a faulty camera (``cameras.health``) are left out as
+    well, and share one line.
 
     ``truth.csv`` has the frames' timestamps as ``timestamp_ns``. If it has only ``time_s``, this column holds the
     frames' timestamps in seconds, or the seconds since the first frame if that is impossible.
@@ -85,11 +86,12 @@ class Recording(FrameSource):
                 self._note(f"{camera_folder(path, name)}: no frames; the recording goes on without camera {name!r}")
         self.period_ns: int = frame_period_ns(stamps)
         check_unit(path, self.period_ns)
-        check_clocks(path, stamps, self.period_ns)
+        offsets_ns = {camera.name: camera.time_offset_ns for camera in self.rig.cameras}
+        check_clocks(path, stamps, self.period_ns, offsets_ns)
         for name, camera_stamps in stamps.items():
             self._check_first(name, camera_stamps)
         self._backgrounds = {name: self._read_background(name) for name in self.rig.names}
-        self._sets, gaps = fill_gaps(group_stamps(stamps, self.period_ns), self.period_ns)
+        self._sets, gaps = fill_gaps(group_stamps(stamps, self.period_ns, offsets_ns), self.period_ns)
         for gap in gaps:
             self._note(f"{path}: {gap}")
         self._truth = self._align_truth(self._load_truth() if rig is None else None)
@@ -148,7 +150,7 @@ class Recording(FrameSource):
             self._note(f"{subject.replace('beyond', 'within')}: unless something is before the lens, {unit}")
 
     def stamps(self, name: str) -> list[int]:
-        """The timestamps (ns) of a camera's frames in order, on the clock that all cameras share."""
+        """The timestamps (ns) of a camera's frames in order, as recorded: without the camera's time offset."""
         return self._stamps[name]
 
     @property

@@ -20,7 +20,8 @@ LONGEST_FILLED_GAP_NS = 10_000_000_000
 
 @dataclasses.dataclass(frozen=True)
 class StampSet:
-    """The frames of one instant: each camera's own timestamp, by camera name, and their median."""
+    """The frames of one instant: each camera's own timestamp, by camera name, and the median of these with the
+    cameras' time offsets."""
 
     timestamp_ns: int
     stamps: Mapping[str, int]
@@ -50,12 +51,20 @@ def check_unit(path: Path, period_ns: int) -> None:
         )
 
 
-def group_stamps(stamps: Mapping[str, Sequence[int]], period_ns: int) -> list[StampSet]:
+def group_stamps(
+    stamps: Mapping[str, Sequence[int]], period_ns: int, offsets_ns: Mapping[str, int] | None = None
+) -> list[StampSet]:
     """Sets of frames within half a period of each other, at most one for each camera, in order of time.
 
     One pass over all timestamps in order: a set takes every frame up to half a period after its first.
+
+    Args:
+        offsets_ns: time offset of each camera, which is added to its timestamps; by default none.
     """
-    ordered = sorted((stamp, name) for name, camera_stamps in stamps.items() for stamp in camera_stamps)
+    offsets_ns = offsets_ns or dict.fromkeys(stamps, 0)
+    ordered = sorted(
+        (stamp + offsets_ns[name], name) for name, camera_stamps in stamps.items() for stamp in camera_stamps
+    )
     groups: list[dict[str, int]] = []
     first = 0
     for stamp, name in ordered:
@@ -69,7 +78,7 @@ def group_stamps(stamps: Mapping[str, Sequence[int]], period_ns: int) -> list[St
         median = (ordered_stamps[(len(ordered_stamps) - 1) // 2] + ordered_stamps[len(ordered_stamps) // 2]) // 2
         if sets:  # time must advance even when two cameras' equal stamps fall in neighbouring sets
             median = max(median, sets[-1].timestamp_ns + 1)
-        sets.append(StampSet(median, group))
+        sets.append(StampSet(median, {name: stamp - offsets_ns[name] for name, stamp in group.items()}))
     return sets
 
 
@@ -88,20 +97,28 @@ def fill_gaps(sets: Sequence[StampSet], period_ns: int) -> tuple[list[StampSet],
     return filled, problems
 
 
-def check_clocks(path: Path, stamps: Mapping[str, Sequence[int]], period_ns: int) -> None:
+def check_clocks(
+    path: Path, stamps: Mapping[str, Sequence[int]], period_ns: int, offsets_ns: Mapping[str, int]
+) -> None:
     """Check that the time spans of the cameras overlap or join, because otherwise their clocks differ.
+
+    Args:
+        offsets_ns: time offset of each camera, which is added to its timestamps.
 
     Raises:
         InputError: when a camera starts after all earlier ones have ended; the message names it.
     """
-    spans = sorted((camera_stamps[0], camera_stamps[-1], name) for name, camera_stamps in stamps.items())
+    spans = sorted(
+        (camera_stamps[0] + offsets_ns[name], camera_stamps[-1] + offsets_ns[name], name)
+        for name, camera_stamps in stamps.items()
+    )
     end, last = spans[0][1], spans[0][2]
     for start, stop, name in spans[1:]:
         if start - end > period_ns:
             raise InputError(
                 f"{path}: the frames of camera {name!r} start {(start - end) / 1e9:.3f} s after the last of camera "
-                f"{last!r}: their clocks differ. File names must be timestamps of one clock in ns; shift one camera's, "
-                "or take it out of rig.json"
+                f"{last!r}: their clocks differ. File names must be timestamps of one clock in ns; give the difference "
+                "as time_offset_s in rig.json, or take it out of rig.json"
             )
         if stop > end:
             end, last = stop, name
