@@ -24,7 +24,7 @@ SAMPLE_M2 = SAMPLE_RAD**2
 #: A sample shows a person if its logit is above this:
 PERSON_LOGIT = -1.0
 #: above this where it lies before the empty scene,
-BEFORE_LOGIT = -2.0
+BEFORE_LOGIT = -3.0
 #: and above this where it looks like the empty scene that was learnt while people were there.
 SURE_LOGIT = 3.0
 

@@ -50,7 +50,7 @@ MOVED_M, MOVED_CERTAINTY = 0.25, 0.4
 #: and of what is mostly (this share of its surface) where the scene was seen empty,
 BEFORE, BEFORE_CERTAINTY = 0.7, 0.35
 #: and less still of what is both.
-MOVED_BEFORE_CERTAINTY = 0.18
+MOVED_BEFORE_CERTAINTY = 0.12
 #: A track unseen for this time ends (seconds); one that is no person yet ends sooner.
 GONE_S, UNBORN_S = 1.0, 0.3
 #: What appears this near to somebody (metres) may be a limb that votes for itself: it needs this time (seconds) and
