@@ -114,7 +114,7 @@ def joints(numbers: dict[str, Any]) -> list[str]:
     """The first person's joints beside another's."""
     settings, rows = numbers["people_joints"]["settings"], numbers["people_joints"]["first person's joints, cm"]
     lines = [
-        f"| First person's joints, nothing smoothed ({settings['scenes']} scenes) | error cm | second within 1.2 m |",
+        f"| First person's joints, nothing smoothed (scenes: {settings['scenes']}) | error cm | second within 1.2 m |",
         "|---|---|---|",
     ]
     lines += [f"| {text} | {rows[name]['mean']:.2f} | {rows[name]['near']:.2f} |" for name, text in _JOINTS.items()]
