@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
 from depthmocap.frames import FrameSet, FrameSource, View
@@ -204,9 +204,8 @@ def probability_in_views(points: Float[ndarray, "n 3"], detected: Sequence[Detec
     points = points[:: max(len(points) // _POINTS, 1)]
     of_views = []
     for view in detected:
-        u, v, z = view.grid.camera.project(points).T
-        rows, columns = view.grid.samples_at(np.nan_to_num(np.stack([u, v], 1), nan=-1.0))
-        seen = (rows >= 0) & (np.abs(view.samples_m[rows, columns] - z) < STEP_M)
+        rows, columns, beyond_m = _samples_behind(view, points)
+        seen = (rows >= 0) & (np.abs(beyond_m) < STEP_M)
         if np.count_nonzero(seen) >= _LEAST_SEEN * len(points):
             of_views.append(float(np.mean(1 / (1 + np.exp(-view.logits[rows[seen], columns[seen]])))))
     return float(np.mean(of_views)) if of_views else 0.0
@@ -215,11 +214,20 @@ def probability_in_views(points: Float[ndarray, "n 3"], detected: Sequence[Detec
 def is_open(place: Float[ndarray, "3"], detected: Sequence[DetectedPeople]) -> bool:
     """Whether a view shows that nothing is at a place (metres, in the world) or before it."""
     for view in detected:
-        u, v, z = view.grid.camera.project(place[None]).T
-        rows, columns = view.grid.samples_at(np.nan_to_num(np.stack([u, v], 1), nan=-1.0))
-        if rows[0] >= 0 and view.samples_m[rows[0], columns[0]] > z[0] + STEP_M:
+        rows, _, beyond_m = _samples_behind(view, place[None])
+        if rows[0] >= 0 and beyond_m[0] > STEP_M:
             return True
     return False
+
+
+def _samples_behind(
+    view: DetectedPeople, points: Float[ndarray, "n 3"]
+) -> tuple[Int[ndarray, " n"], Int[ndarray, " n"], Float[ndarray, " n"]]:
+    """Rows and columns of the samples that show points (metres, in the world; rows are -1 where none does), and how far
+    beyond the points (metres) these are."""
+    u, v, z = view.grid.camera.project(points).T
+    rows, columns = view.grid.samples_at(np.nan_to_num(np.stack([u, v], 1), nan=-1.0))
+    return rows, columns, view.samples_m[rows, columns] - z
 
 
 def highest_near(

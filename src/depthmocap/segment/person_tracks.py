@@ -214,8 +214,10 @@ class PersonTracker:
                     ),
                 )
             )
-        certainties = _certainties(votes, owners, len(centres))
-        before = _shares(votes.before, votes.areas_m2, owners, len(centres))
+        # Probable samples count more: the rim of a person is never certain.
+        weights = votes.areas_m2 * votes.certainties
+        certainties = _means(votes.certainties, weights, owners, len(centres))
+        before = _means(votes.before, votes.areas_m2, owners, len(centres))
         for k, track in enumerate(self.active):
             track.area_m2, track.missed_sets = 0.0, track.missed_sets + 1
             if sums[k, 0] > SEEN_M2:
@@ -287,22 +289,16 @@ def _is_same(track: PersonTrack, older: PersonTrack, votes: Votes) -> bool:
     return _one_heap(votes, older.centre_m, track.centre_m)
 
 
-def _certainties(votes: Votes, owners: Int[ndarray, " n"], count: int) -> Float[ndarray, " k"]:
-    """The mean probability of each owner's samples, in which probable ones count more: the rim of a person is never
-    certain."""
-    owned = owners >= 0
-    weights = (votes.areas_m2 * votes.certainties)[owned]
-    sums = np.bincount(owners[owned], weights, count)
-    return np.bincount(owners[owned], weights * votes.certainties[owned], count) / np.maximum(sums, 1e-9)
-
-
-def _shares(
-    chosen: Bool[ndarray, " n"], areas_m2: Float[ndarray, " n"], owners: Int[ndarray, " n"], count: int
+def _means(
+    values: Float[ndarray, " n"] | Bool[ndarray, " n"],
+    weights: Float[ndarray, " n"],
+    owners: Int[ndarray, " n"],
+    count: int,
 ) -> Float[ndarray, " k"]:
-    """The share of each owner's surface that is chosen."""
+    """The weighted mean of each owner's values, 0 for who has none."""
     owned = owners >= 0
-    sums = np.bincount(owners[owned], areas_m2[owned], count)
-    return np.bincount(owners[owned], (areas_m2 * chosen)[owned], count) / np.maximum(sums, 1e-9)
+    sums = np.bincount(owners[owned], weights[owned], count)
+    return np.bincount(owners[owned], (weights * values)[owned], count) / np.maximum(sums, 1e-9)
 
 
 def _cluster(
