@@ -135,7 +135,7 @@ def _tracks(settings: MotionEvaluation) -> list[SequenceEstimates]:
 
 
 def _binding(settings: MotionEvaluation) -> dict[str, Any]:
-    left_out = ("out", "sequences", "sides_wrong", "out_of_step_ms", "lag_frames", "json", "report")
+    left_out = ("out", "device", "sequences", "sides_wrong", "out_of_step_ms", "lag_frames", "json", "report")
     return {k: v for k, v in plain_settings(settings).items() if k not in left_out}
 
 

@@ -11,6 +11,7 @@ from fakes import Board, fake_pipeline
 
 from depthmocap.cli import main
 from depthmocap.core.console import Terminal
+from depthmocap.core.network_devices import NetworkDevices
 from depthmocap.errors import InputError
 from depthmocap.exporting import read_bvh, read_csv, read_trc
 from depthmocap.exporting.summary import read_summary
@@ -89,7 +90,7 @@ def test_an_interruption_leaves_complete_files(recording, tmp_path, monkeypatch)
     pipeline = fake_pipeline()
 
     class Interrupted:
-        smoothing, segment = None, EmptyRoom()
+        smoothing, segment, devices = None, EmptyRoom(), NetworkDevices()
 
         def __init__(self):
             self.calls = 0

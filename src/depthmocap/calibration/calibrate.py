@@ -24,6 +24,7 @@ from depthmocap.calibration.verdict import PairVerdict, find_warnings, judge_pai
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
+from depthmocap.core.network_devices import NetworkSettings, networks_on
 from depthmocap.core.output import check_outputs, write_json
 from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError
@@ -44,7 +45,7 @@ _FLOORS = {
 
 
 @dataclasses.dataclass(frozen=True)
-class CalibrateSettings:
+class CalibrateSettings(NetworkSettings):
     """Estimate the extrinsics from a person who walks about in front of the cameras for 20 to 60 s and moves the arms.
 
     Attributes:
@@ -120,9 +121,11 @@ def find_rig(recording: Recording, settings: CalibrateSettings, console: Console
     names = recording.rig.names
     if len(names) < 2:
         raise InputError(f"{recording.path} has one camera ({', '.join(names)}): a calibration needs two or more")
-    with console.status("reading the background and the weights"):
+    with console.status("reading the background and the weights"), networks_on(settings.device) as devices:
         classifier = Classifier(settings.weights)
         segmenter = PersonSegmenter.from_recording(recording, settings.segment)
+    for line in devices.lines():
+        console.print(f"  {line}")
     if not classifier.predicts_joints:
         raise InputError(f"{classifier.path} is a network that tells no joints, which a calibration is made of")
     total = sum(len(subsample_timestamps(recording.stamps(name), settings.rate_hz)) for name in names)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from depthmocap.core.network_devices import open_session
 from depthmocap.core.reading.input_files import read_bytes
 from depthmocap.errors import InputError
 
@@ -16,26 +17,23 @@ _LARGEST = 1 << 30
 
 
 def open_network(source: Path, missing: str) -> onnxruntime.InferenceSession:
-    """Open a network, which runs on one core.
+    """Open a network, which runs on the device of ``networks_on``, by default on one core for each call.
 
     Args:
         missing: what to do if there is no such file, for the message.
 
     Raises:
-        InputError: when the file cannot be read or is no network.
+        InputError: when the file cannot be read or is no network, or the device cannot run it.
     """
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.log_severity_level = 3
     # The runtime cannot open a path that is not UTF-8, so it gets the bytes.
     data = read_bytes(source, _LARGEST, missing)
     try:
-        session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        session = open_session(source.stem, data)
         # The runtime reports names that are no text only when they are read.
         _ = [end.name for end in (*session.get_inputs(), *session.get_outputs())]
         _ = session.get_modelmeta().custom_metadata_map
+    except InputError:
+        raise
     except Exception as error:  # the runtime's errors share no public base class
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise InputError(f"{source} is not a readable ONNX network: {reason}") from None

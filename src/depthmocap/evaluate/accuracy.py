@@ -17,6 +17,7 @@ from rich.table import Table
 
 from depthmocap.body.regions import REGION_NAMES, UNLABELLED
 from depthmocap.classify.classifier import Classifier
+from depthmocap.core.network_devices import NetworkSettings, networks_on
 from depthmocap.errors import InputError
 from depthmocap.evaluate.evaluation_report import Outputs
 from depthmocap.evaluate.facing import facing_numbers
@@ -36,7 +37,7 @@ from depthmocap.report.metrics import (
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class AccuracyEvaluation(Outputs):
+class AccuracyEvaluation(NetworkSettings, Outputs):
     """What the protocols on labelled data have in common.
 
     Attributes:
@@ -55,8 +56,9 @@ class AccuracyEvaluation(Outputs):
         Raises:
             InputError: when a file is missing or not such a model.
         """
-        classifier = Classifier(self.weights) if self.labels == "network" else None
-        return load_estimator(self.estimator, self.labels), classifier
+        with networks_on(self.device):
+            classifier = Classifier(self.weights) if self.labels == "network" else None
+            return load_estimator(self.estimator, self.labels), classifier
 
 
 def check_views(views: int) -> None:

@@ -16,6 +16,7 @@ from depthmocap.body.regions import REGION_COUNT, REGION_NAMES, UNLABELLED
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
+from depthmocap.core.network_devices import NetworkSettings, networks_on
 from depthmocap.core.output import atomic_write, check_outputs, write_file
 from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError, missing_extra
@@ -29,7 +30,7 @@ from depthmocap.report.page import ReportFigure, ReportSection, ReportTable, wri
 
 
 @dataclasses.dataclass(frozen=True)
-class LabelsEvaluation(JsonOutput):
+class LabelsEvaluation(NetworkSettings, JsonOutput):
     """Confusion matrix, accuracy of every region, swapped limbs and calibration of a classifier's labels.
 
     Attributes:
@@ -151,7 +152,8 @@ def evaluate_labels(settings: LabelsEvaluation, console: Console | None = None) 
     if settings.samples < 1 or settings.pictures < 1:
         raise InputError(f"--samples and --pictures must be at least 1, got {settings.samples}, {settings.pictures}")
     console = console or Terminal(stderr=True)
-    classifier = Classifier(settings.weights)
+    with networks_on(settings.device):
+        classifier = Classifier(settings.weights)
     quality, shown = LabelQuality(), []
     with Progress(console=console) as progress:
         for frame in progress.track(_frames(settings), settings.samples, description="labels"):

@@ -15,6 +15,7 @@ from depthmocap.body.regions import MIRROR, REGION
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
+from depthmocap.core.network_devices import NetworkSettings, networks_on
 from depthmocap.core.output import check_outputs
 from depthmocap.core.reading.image_files import read_picture
 from depthmocap.core.reading.json_text import array, read_json
@@ -36,7 +37,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Labels2dEvaluation(JsonOutput):
+class Labels2dEvaluation(NetworkSettings, JsonOutput):
     """Check labels of real depth images against joints found in colour images.
 
     Attributes:
@@ -92,7 +93,8 @@ def evaluate_labels2d(settings: Labels2dEvaluation, console: Console | None = No
     """
     path = settings.folder / "joints2d.json"
     people = _read_joints(path)
-    classifier = Classifier(settings.weights)
+    with networks_on(settings.device):
+        classifier = Classifier(settings.weights)
     right: dict[str, int] = {}
     total: dict[str, int] = {}
     swapped: list[str] = []

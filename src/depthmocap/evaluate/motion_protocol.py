@@ -20,6 +20,7 @@ from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
+from depthmocap.core.network_devices import NetworkSettings, networks_on
 from depthmocap.core.output import check_outputs
 from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
@@ -37,7 +38,7 @@ from depthmocap.synth.sample import Split
 from depthmocap.synth.sensing.sensors import find_sensor
 
 #: Settings that the estimates do not depend on, or that only tell how many there are.
-_FREE_SETTINGS = ("out", "sequences", "sides_wrong", "out_of_step_ms", "lag_frames", "json", "report")
+_FREE_SETTINGS = ("out", "device", "sequences", "sides_wrong", "out_of_step_ms", "lag_frames", "json", "report")
 #: Columns of the table: field, heading, digits.
 _COLUMNS = (
     ("mean_joint_error_cm", "error cm", 2),
@@ -53,7 +54,7 @@ _COLUMNS = (
 
 
 @dataclasses.dataclass(frozen=True)
-class MotionEvaluation(JsonOutput):
+class MotionEvaluation(NetworkSettings, JsonOutput):
     """Joints over time on generated sequences: a person moves, cameras with errors look, the network labels, joints
     are estimated frame by frame, and every filter is applied to them.
 
@@ -170,7 +171,8 @@ def make_estimates(
         motions = prior_motions(settings.sequences, settings.seconds, rng)
     else:
         motions = clip_motions(settings.postures, settings.split, settings.sequences, settings.seconds, rng)
-    classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)
+    with networks_on(settings.device):
+        classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)
     complete = []
     with Progress(console=console) as progress:
         for index, motion in enumerate(progress.track(motions, settings.sequences, description="estimating")):

@@ -15,6 +15,7 @@ from jaxtyping import Float, Shaped
 from numpy import ndarray
 
 from depthmocap.classify.classifier import Classifier
+from depthmocap.core.network_devices import NetworkSettings, networks_on
 from depthmocap.errors import InputError
 from depthmocap.evaluate.estimated_frames import EstimatedFrames
 from depthmocap.evaluate.evaluation_report import Outputs
@@ -27,7 +28,7 @@ Refit = Literal["ridge", "none"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class RealSetEvaluation(Outputs):
+class RealSetEvaluation(NetworkSettings, Outputs):
     """What the protocols on sets of real people have in common.
 
     Attributes:
@@ -46,8 +47,9 @@ class RealSetEvaluation(Outputs):
         Raises:
             InputError: when a file is missing or not such a model.
         """
-        classifier = Classifier(self.weights)
-        return load_estimator(self.estimator), classifier
+        with networks_on(self.device):
+            classifier = Classifier(self.weights)
+            return load_estimator(self.estimator), classifier
 
 
 def comparable(observed: EstimatedFrames, refit: Refit) -> EstimatedFrames:

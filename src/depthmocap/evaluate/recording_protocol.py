@@ -43,6 +43,8 @@ def evaluate_recording(settings: RecordingEvaluation, console: Console | None = 
     console = console or Terminal(stderr=True)
     source = open_source(settings.recording)
     pipeline = load_pipeline(source, settings)
+    for line in pipeline.devices.lines():
+        console.print(f"  {line}")
     truths, poses, spent_ms = {}, {}, []
     for frames in track(source, progress_text(settings.recording.name), len(source), console=console):
         result = pipeline(frames)

@@ -69,6 +69,7 @@ class Summary(TypedDict):
     bvh_start_s: float | None
     bvh_held: dict[str, FrameRanges]
     smoothing: dict[str, Any] | None
+    devices: dict[str, str]
     seconds: float | None
     frames_per_second: float | None
     frames_by_camera: dict[str, int]
@@ -203,6 +204,7 @@ def make_summary(take: Take, numbers: Mapping[str, Any], person: int | None = No
         "bvh_start_s": None,
         "bvh_held": {},
         "smoothing": None,
+        "devices": {},
         "seconds": None,
         "frames_per_second": None,
         "frames_by_camera": {},
@@ -258,7 +260,7 @@ def check_summary(path: Path, document: Any) -> Summary:
         raise InputError(f"{path} is no summary of run or live of this version: it has no schema; run it again")
     if schema != SCHEMA:
         raise InputError(f"{path} has the schema {schema!r}, and this version reads {SCHEMA}: run it again")
-    document = {"up": "z", "time_offsets_s": {}, **document}  # which the first summaries do not have
+    document = {"up": "z", "time_offsets_s": {}, "devices": {}, **document}  # which the first summaries do not have
     if absent := [key for key in Summary.__annotations__ if key not in document]:
         raise InputError(f"{path} lacks {', '.join(absent[:4])}: it was changed since it was written; run it again")
     return cast(Summary, document)

@@ -14,6 +14,7 @@ from numpy import ndarray
 
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.locks import locks_outputs
+from depthmocap.core.network_devices import NetworkSettings, networks_on
 from depthmocap.core.output import check_outputs, write_file
 from depthmocap.core.reading.image_files import read_picture
 from depthmocap.core.settings import check_above_0
@@ -26,7 +27,7 @@ _FOCAL_SHARE = 0.715
 
 
 @dataclasses.dataclass(frozen=True)
-class LabelSettings:
+class LabelSettings(NetworkSettings):
     """Label one depth image.
 
     Attributes:
@@ -117,7 +118,8 @@ def label_image(settings: LabelSettings) -> UInt8[ndarray, "h w"]:
         if mask.shape != depth.shape:
             raise InputError(f"{settings.mask} is {mask.shape}, but the depth image is {depth.shape} (height, width)")
         person = person & (mask > 0)
-    classifier = Classifier(settings.weights)
+    with networks_on(settings.device):
+        classifier = Classifier(settings.weights)
     view = View(_camera(settings, depth.shape), depth)
     ((labels, _, _),) = classifier.label_views([view], [person])
     if not labels.any():

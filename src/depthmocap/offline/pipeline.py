@@ -17,6 +17,7 @@ from jaxtyping import Bool, UInt8
 from numpy import ndarray
 
 from depthmocap.classify.classifier import ViewPrediction
+from depthmocap.core.network_devices import NetworkDevices
 from depthmocap.frames import FrameSet, Pose, View
 from depthmocap.pose.cloud import LabelledCloud, merge_views
 from depthmocap.pose.estimators import JointEstimator
@@ -110,7 +111,11 @@ class _Smoothed:
 
 
 class Pipeline:
-    """Depth views to joints. Keeps state only for following people and for smoothing; :meth:`reset` forgets it."""
+    """Depth views to joints. Keeps state only for following people and for smoothing; :meth:`reset` forgets it.
+
+    Attributes:
+        devices: where its networks run.
+    """
 
     def __init__(
         self,
@@ -128,7 +133,7 @@ class Pipeline:
                 people get copies of it.
         """
         self._classifier, self._estimator, self.segment, self._up = classifier, estimator, segment, up
-        self.smoothing = smoothing
+        self.smoothing, self.devices = smoothing, NetworkDevices()
         self._filters: dict[int, _Smoothed] = {}
 
     def reset(self) -> None:

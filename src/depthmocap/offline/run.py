@@ -78,6 +78,8 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
         # The first frame ever compiles the inner loops, which would be taken for the machine's speed.
         if (first := next(iter(source), None)) is not None:
             warm_up(pipeline, first)
+    for line in pipeline.devices.lines():
+        console.print(f"  {line}")
     pictures = Pictures(len(source), source.up) if settings.report else None
     remove_results(settings.out)
     files, people_files = PoseFiles(settings.out, take), PeopleFiles(settings.out, take)
@@ -212,6 +214,7 @@ class _Capture:
             "frames_by_person": dict(self._by_person),
             **_speed(self._milliseconds),
             "smoothing": smoothing.describe() if smoothing else None,
+            "devices": self._pipeline.devices.running,
             "cameras_apart_cm": {name: 100 * apart_m for name, apart_m in self._extrinsics_check.distances_m().items()},
             "error": _error(self._poses, self.truths),
         }

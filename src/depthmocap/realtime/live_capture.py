@@ -231,6 +231,8 @@ class LiveCapture:
         if self._timer is not None:
             self._timer.cancel()
         pipeline = warm_up(self._make_pipeline(scenes), frames)
+        for line in pipeline.devices.lines():
+            self._tell(line)
         if self._timer is not None:
             self._start_timer()
         return pipeline

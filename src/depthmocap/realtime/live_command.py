@@ -186,6 +186,10 @@ def _make_capture(settings: LiveSettings, console: Console, viewers: Sequence[St
     make_pipeline = functools.partial(load_pipeline, settings=settings)
     rig = load_rig(settings.rig) if settings.rig else None
     sync = SyncSettings(settings.rate_hz or 30.0, settings.wait_ms, triggered=settings.triggered)
+
+    def tell(line: str) -> None:
+        console.print(f"• {line}")
+
     if not settings.realtime and len(settings.sources) == 1 and Path(settings.sources[0]).exists():
         with console.status("reading the background and the weights"):
             recording = open_recording(Path(settings.sources[0]), rig)
@@ -193,11 +197,10 @@ def _make_capture(settings: LiveSettings, console: Console, viewers: Sequence[St
             if settings.stream or viewers:
                 option = "--stream" if settings.stream else "--view"
                 raise InputError(f"{option} needs --realtime: played as fast as it goes, a recording is not live")
-            return Replay(recording, sync, make_pipeline)
-
-    def tell(line: str) -> None:
-        console.print(f"• {line}")
-
+            replay = Replay(recording, sync, make_pipeline)
+        for line in replay.pipeline.devices.lines():
+            tell(line)
+        return replay
     sources = make_sources(settings.sources, PlaybackClock(1.0), tell)
     streams = (*settings.stream, *viewers)
     return LiveCapture(sources, rig, None, sync, settings.rate_hz is None, make_pipeline, tell, streams)
@@ -267,6 +270,7 @@ def _finish_files(
         "sets_dropped": capture.dropped,
         "sets_before_ready": capture.sets_before_ready,
         "smoothing": smoothing.describe() if smoothing else None,
+        "devices": capture.pipeline.devices.running if capture.pipeline else {},
         "cameras": cameras,
         "frames_by_camera": {name: status["counts"].get("used", 0) for name, status in cameras.items()},
         "time_offsets_s": time_offsets_s(capture.cameras.values()),

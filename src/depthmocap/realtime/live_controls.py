@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
+from depthmocap.core.network_devices import networks_on
 from depthmocap.errors import InputError
 from depthmocap.exporting.edits import LONGEST_NAME, Marker
 from depthmocap.frames import Pose
@@ -136,9 +137,9 @@ class LiveControls:
     def learn_background(self) -> None:
         """Learn the empty scene anew; people are looked for anew, too, and their numbers begin at 1."""
         rig = Rig(tuple(self._capture.reader.cameras.values()), self._capture.up)
-        segmenter = load_segmenter(
-            BackgroundSource(rig, {}), self._settings.segment, self.people, self._settings.choice
-        )
+        own = self._settings
+        with networks_on(own.device):
+            segmenter = load_segmenter(BackgroundSource(rig, {}), own.segment, self.people, own.choice)
 
         def change(pipeline: Pipeline) -> None:
             segmenter.people = self.people
