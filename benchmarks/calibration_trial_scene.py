@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -47,6 +49,14 @@ _STAND_S = 1.5
 _WAVE_RAD = 0.6
 #: Time constant of this motion, seconds.
 _WAVE_S = 0.5
+#: Radius of a circle, and the number of stops that make it.
+_CIRCLE_M, _CORNERS = 0.8, 12
+#: Standard deviation of such a stop's place, as nobody walks quite evenly (metres).
+_UNEVEN_M = 0.08
+
+#: How the person moves: from stop to stop, in circles, to and fro on a straight line, in circles like clockwork, on one
+#: spot with the arms, or not at all. Who walks in circles or on a line swings the arms only.
+MotionKind = Literal["about", "circle", "line", "clockwork", "arms", "still"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,6 +67,7 @@ class TrialScene:
         azimuths_deg: azimuths of the cameras around the room's middle, 0 at −Y, towards +X.
         out_of_step_s: how much later than its timestamps each camera captures.
         room: whether there is a room around the person; otherwise the sensors read nothing behind them.
+        motion: how the person moves.
     """
 
     azimuths_deg: tuple[float, ...] = (10.0, 125.0, 245.0)
@@ -65,6 +76,7 @@ class TrialScene:
     rate_hz: float = 8.0
     room: bool = True
     seed: int = 0
+    motion: MotionKind = "about"
 
     def write(self, path: Path) -> Rig:
         """Write the recording, its rig.json without the truth (all cameras at the origin); returns the true rig."""
@@ -76,7 +88,7 @@ class TrialScene:
         ))  # fmt: skip
         dressed = random_dressed_body(rng, "open")
         times_s = np.arange(round(self.seconds * self.rate_hz)) / self.rate_hz
-        motion = _walk_about(rng, dressed, self.seconds + 2)
+        motion = person_motion(rng, dressed, self.motion, self.seconds + 2)
         offsets_s = self.out_of_step_s or (0.0,) * len(rig.cameras)
         # Posing a dressed person takes longer than rendering: cameras with the same offset share it.
         moving = {offset_s: pose_sequence(dressed, motion(times_s + offset_s + 0.5)) for offset_s in {0.0, *offsets_s}}
@@ -101,17 +113,15 @@ def _mount(rng: np.random.Generator, azimuth_deg: float) -> Float[ndarray, "4 4"
     return look_at(eye, np.array([*rng.uniform(-0.1, 0.1, 2), 0.95]), rng.normal(0, 0.03))
 
 
-def _walk_about(rng: np.random.Generator, dressed: DressedBody, seconds: float):
-    """The motion at any times: walking from stop to stop, turning and standing, with moving arms."""
-    stops, walked_s = [Stop(0.3, 0.5)], 0.0
-    while walked_s < seconds:
-        x, y = rng.uniform(-_REACH_M, _REACH_M, 2)
-        walked_s += float(np.hypot(x - stops[-1].x, y - stops[-1].y)) / _SPEED_MPS + _STAND_S
-        stops.append(Stop(float(x), float(y), _STAND_S))
+def person_motion(
+    rng: np.random.Generator, dressed: DressedBody, kind: MotionKind, seconds: float
+) -> Callable[[Float[ndarray, " n"]], Motion]:
+    """The motion at any times from 0 to ``seconds``."""
+    stops = _stops(rng, kind, seconds)
     fine_s = np.arange(0, seconds, 0.02)
     bones = [POSTURE_INDEX[f"{bone}.{side}"] for bone in ("upper_arm", "forearm") for side in "RL"]
     wave = gaussian_filter1d(rng.normal(size=(len(fine_s), len(bones), 3)), _WAVE_S / 0.02, axis=0)
-    wave *= _WAVE_RAD / wave.std(0)
+    wave *= (_WAVE_RAD if kind in ("about", "arms") else 0.0) / wave.std(0)
     wave[:, 2:] *= 0.5  # elbows less
 
     def motion(times_s: Float[ndarray, " n"]) -> Motion:
@@ -123,3 +133,26 @@ def _walk_about(rng: np.random.Generator, dressed: DressedBody, seconds: float):
         return Motion(walk.times_s, postures, walk.offsets)
 
     return motion
+
+
+def _stops(rng: np.random.Generator, kind: MotionKind, seconds: float) -> list[Stop]:
+    """The path on the floor, long enough for this time."""
+    if kind in ("arms", "still"):
+        return [Stop(0.3, 0.5), Stop(0.3, 0.45, seconds)]
+    if kind in ("circle", "clockwork"):
+        turns = int(seconds * _SPEED_MPS / (2 * np.pi * _CIRCLE_M)) + 2
+        angles = rng.uniform(0, 2 * np.pi) + 2 * np.pi * np.arange(turns * _CORNERS) / _CORNERS
+        places = _CIRCLE_M * np.stack([np.cos(angles), np.sin(angles)], 1)
+        uneven_m = _UNEVEN_M if kind == "circle" else 0.0
+        return [Stop(float(x), float(y)) for x, y in places + uneven_m * rng.normal(size=places.shape)]
+    if kind == "line":
+        angle = rng.uniform(0, np.pi)
+        count = int(seconds * _SPEED_MPS / _REACH_M) + 3
+        along = _REACH_M * (-1.0) ** np.arange(count) + _UNEVEN_M * rng.normal(size=count)
+        return [Stop(float(r * np.cos(angle)), float(r * np.sin(angle))) for r in along]
+    stops, walked_s = [Stop(0.3, 0.5)], 0.0
+    while walked_s < seconds:
+        x, y = rng.uniform(-_REACH_M, _REACH_M, 2)
+        walked_s += float(np.hypot(x - stops[-1].x, y - stops[-1].y)) / _SPEED_MPS + _STAND_S
+        stops.append(Stop(float(x), float(y), _STAND_S))
+    return stops

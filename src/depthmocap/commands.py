@@ -128,6 +128,13 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "a recording folder to MCAP and back, without loss",
         ),
         Command(
+            "sync",
+            "depthmocap.calibration.sync_command",
+            "SyncSettings",
+            "sync",
+            "separate recordings as one take, in step by how somebody moves",
+        ),
+        Command(
             "recover",
             "depthmocap.recordings.convert",
             "RecoverSettings",

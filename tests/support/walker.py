@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
+from scipy.ndimage import gaussian_filter1d
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.calibration.joint_tracks import JointTrack
@@ -18,6 +21,7 @@ _STICKS = {
     "LShoulder": (0.19, 0, 1.42), "LElbow": (0.3, 0, 1.2), "LHand": (0.4, -0.1, 1.0),
 }  # fmt: skip
 REST = np.array([_STICKS[name] for name in JOINTS])
+_ENDS = [i for i, name in enumerate(JOINTS) if name.endswith(("Elbow", "Hand", "Knee", "Foot"))]
 _ARMS = [i for i, name in enumerate(JOINTS) if "Elbow" in name or "Hand" in name]
 
 
@@ -34,6 +38,27 @@ def walk(times_s: Float[ndarray, " n"]) -> Float[ndarray, "n 18 3"]:
     return turned + np.stack([0.6 * cos, 0.6 * sin, 0 * cos], 1)[:, None]
 
 
+def wander(times_s: Float[ndarray, " n"], seed: int = 0) -> Float[ndarray, "n 18 3"]:
+    """Joints in the world: here and there, arms and legs in movements that do not repeat."""
+    rng = np.random.default_rng(seed)
+    fine_s = np.arange(times_s.min() - 2, times_s.max() + 2, 0.05)
+
+    def drawn(count: int, smooth_s: float) -> Float[ndarray, "n count"]:
+        smooth = gaussian_filter1d(rng.normal(size=(len(fine_s), count)), smooth_s / 0.05, axis=0)
+        smooth /= smooth.std(0)
+        return np.stack([np.interp(times_s, fine_s, column) for column in smooth.T], 1)
+
+    joints = np.tile(REST, (len(times_s), 1, 1))
+    joints[:, _ENDS] += 0.12 * drawn(3 * len(_ENDS), 0.3).reshape(len(times_s), -1, 3)
+    turn = drawn(1, 2.0)[:, 0]
+    cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    turned = joints.copy()
+    turned[..., 0] = joints[..., 0] * cos - joints[..., 1] * sin
+    turned[..., 1] = joints[..., 0] * sin + joints[..., 1] * cos
+    place = 0.6 * drawn(2, 1.5)
+    return turned + np.stack([place[:, 0], place[:, 1], 0 * turn], 1)[:, None]
+
+
 def stand(azimuth_deg: float, height_m: float = 1.6) -> Float[ndarray, "4 4"]:
     """``world_from_camera`` of a camera that looks at the middle."""
     azimuth = np.deg2rad(azimuth_deg)
@@ -46,9 +71,10 @@ def track(
     rng: np.random.Generator,
     noise_m: float = 0.03,
     offset_s: float = 0.0,
+    movement: Callable[[Float[ndarray, " n"]], Float[ndarray, "n 18 3"]] = walk,
 ) -> JointTrack:
     """The figure as a camera estimates it; the camera exposes ``offset_s`` after its timestamps."""
-    joints = transform_points(rigid_inverse(pose), walk(times_s + offset_s))
+    joints = transform_points(rigid_inverse(pose), movement(times_s + offset_s))
     sigma = np.full(joints.shape[:2], np.sqrt(3) * noise_m)
     return JointTrack(times_s, joints + rng.normal(0, noise_m, joints.shape), sigma)
 

@@ -60,7 +60,7 @@ def search_lateness(a: JointTrack, b: JointTrack, rng: np.random.Generator) -> L
     times_s = times_s[:: max(round(len(times_s) / _MOMENTS), 1)]
     steps = round(LONGEST_S / _STEP_S)
     offsets_s = _STEP_S * np.arange(-steps, steps + 1)
-    scores = np.stack([_scores(a, b, times_s, late_s, rng) for late_s in offsets_s])
+    scores = np.stack([agreement(a, b, times_s, late_s, rng) for late_s in offsets_s])
     moments = np.isfinite(scores).sum(1)
     usable = moments >= max(_LEAST_SHARE * moments.max(), _LEAST_MOMENTS)
     if not usable.any():
@@ -82,7 +82,7 @@ def search_lateness(a: JointTrack, b: JointTrack, rng: np.random.Generator) -> L
     return Lateness(float(offsets_s[best] + _STEP_S * (after - before) / (2 * (2 * here - before - after) or 1.0)))
 
 
-def _scores(
+def agreement(
     a: JointTrack, b: JointTrack, times_s: Float[ndarray, " n"], late_s: float, rng: np.random.Generator
 ) -> Float[ndarray, " n"]:
     """How well the skeletons fit at each moment if b exposes ``late_s`` later than a: 0 to 1, NaN where one lacks."""

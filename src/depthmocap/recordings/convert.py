@@ -28,7 +28,7 @@ from depthmocap.recordings.recording_writer import RecordingWriter
 from depthmocap.text import offset_lines
 
 #: Name endings of camera makers' files: every command takes such a name for a file, so no folder may have it.
-_FOREIGN = (".mkv", ".oni", ".bag")
+FOREIGN = (".mkv", ".oni", ".bag")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,7 +59,7 @@ def convert(settings: ConvertSettings, console: Console | None = None) -> dict[s
             name ending of another kind of file.
     """
     console = console or Terminal(stderr=True)
-    if settings.out.suffix.lower() in _FOREIGN:
+    if settings.out.suffix.lower() in FOREIGN:
         raise InputError(f"the new recording must be a file that ends in .mcap, or a folder, got {settings.out}")
     source = open_recording(settings.source)
     backgrounds = {name: raw for name in source.rig.names if (raw := source.raw_background(name)) is not None}
@@ -82,7 +82,7 @@ def convert(settings: ConvertSettings, console: Console | None = None) -> dict[s
         if settings.out.suffix.lower() == ".mcap":
             start_ns = timeline(source)[0][0]
             writer = McapWriter(settings.out, source.rig, backgrounds, settings.coding, start_ns=start_ns)
-            with _whole_or_removed(writer):
+            with whole_or_removed(writer):
                 for stamp, name, raw in read(progress):
                     timestamp_ns, clock = source.device_time(name, stamp)
                     writer.write(name, timestamp_ns, raw, stamp, clock)
@@ -101,7 +101,7 @@ def convert(settings: ConvertSettings, console: Console | None = None) -> dict[s
 
 
 @contextlib.contextmanager
-def _whole_or_removed(new: McapWriter | McapSink) -> Iterator[None]:
+def whole_or_removed(new: McapWriter | McapSink) -> Iterator[None]:
     """Close a new file; remove it if it is incomplete, because its source still exists.
 
     Raises:
@@ -146,7 +146,7 @@ def recover(settings: RecoverSettings, console: Console | None = None) -> dict[s
         if not file.messages:
             raise InputError(f"{settings.source} holds no message: it was cut off before the first frame")
         sink = McapSink(settings.out)
-        with _whole_or_removed(sink):
+        with whole_or_removed(sink):
             for name, entries in file.metadata.items():
                 sink.metadata(name, entries)
             channels: dict[int, Any] = {}

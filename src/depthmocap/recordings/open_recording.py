@@ -11,7 +11,8 @@ from depthmocap.recordings.mcap_recording import McapRecording
 from depthmocap.recordings.mkv_recording import MkvRecording
 from depthmocap.recordings.recording import Recording
 
-_FILES: dict[str, type[Recording]] = {".mcap": McapRecording, ".mkv": MkvRecording}
+#: Readers of files, by the ending of their names.
+RECORDING_FILES: dict[str, type[Recording]] = {".mcap": McapRecording, ".mkv": MkvRecording}
 #: Files that only a camera back end can read.
 _BY_SDK = {".oni": "openni", ".bag": "orbbec"}
 
@@ -36,4 +37,4 @@ def open_recording(path: Path | str, rig: Rig | None = None) -> Recording:
             f"{path} is read by its camera's SDK: name it as a camera, as in "
             f"depthmocap record {back_end}:{path} --out take.mcap"
         )
-    return _FILES.get(path.suffix.lower(), Recording)(path, rig)
+    return RECORDING_FILES.get(path.suffix.lower(), Recording)(path, rig)
