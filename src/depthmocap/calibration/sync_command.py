@@ -22,6 +22,7 @@ from depthmocap.calibration.time_search import LONGEST_SEARCH_S, TimeMatch, find
 from depthmocap.calibration.verdict import OFFSET_S
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
+from depthmocap.core.network_devices import NetworkSettings, networks_on
 from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError
 from depthmocap.recordings.depth_codec import Coding
@@ -38,7 +39,7 @@ _WHOLE = 0.8
 
 
 @dataclasses.dataclass(frozen=True)
-class SyncSettings:
+class SyncSettings(NetworkSettings):
     """Put separate recordings of one scene, whose clocks share nothing, into one take, in step by how somebody moves.
 
     Attributes:
@@ -223,7 +224,10 @@ def _group_by_clock(recordings: Sequence[Recording]) -> tuple[list[int], list[in
 def _observe_all(
     recordings: Sequence[Recording], clock_of: list[int], starts_ns: list[int], settings: SyncSettings, console: Console
 ) -> list[_Camera]:
-    classifier = Classifier(settings.weights)
+    with networks_on(settings.device) as devices:
+        classifier = Classifier(settings.weights)
+    for line in devices.lines():
+        console.print(f"  {line}")
     if not classifier.predicts_joints:
         raise InputError(f"{classifier.path} is a network that tells no joints, by which recordings are put in step")
     rate_hz = settings.rate_hz
