@@ -120,22 +120,10 @@ def mark_voxels(columns, levels, labels, label, columns_count, volume, voxels, c
 
 
 @numba.njit(cache=True, nogil=True)
-def divide_voxels(voxels, volume, before, shape, people, core, far, queue):
-    """Write the label of the person whom each voxel of a blob belongs to into ``volume``, where the voxels are 255.
-
-    A person keeps the voxels that they had in the volume ``before``, shifted by their predicted movement, and those in
-    their core. A new voxel goes to the person it is connected to by the fewest voxels. The rest, and voxels ``far``
-    from their person, go to the nearest person.
-
-    Args:
-        shape: columns in x and y, levels.
-        people: rows of label, predicted centre x, y (in columns), predicted movement x, y since ``before`` (whole
-            columns).
-        core, far: radii in columns.
-        queue: buffer as long as ``voxels``.
-    """
-    nx, ny, nz = shape
-    next_index = queue_length = 0
+def _claim_voxels(voxels, volume, before, shape, people, core, far, queue):
+    """Write the owners of the voxels that people keep into ``volume`` and those voxels into ``queue``; their number."""
+    nx, ny, _ = shape
+    count = 0
     for voxel in voxels:
         level, column = voxel // (nx * ny), voxel % (nx * ny)
         x, y = column % nx, column // nx
@@ -153,9 +141,18 @@ def divide_voxels(voxels, volume, before, shape, people, core, far, queue):
                     owner, best = int(label), distance
         if claims:
             volume[voxel] = owner
-            queue[queue_length] = voxel
-            queue_length += 1
-    while next_index < queue_length:
+            queue[count] = voxel
+            count += 1
+    return count
+
+
+@numba.njit(cache=True, nogil=True)
+def _spread_owners(volume, shape, queue, count):
+    """Give voxels without an owner (255) that of the nearest voxel they are connected to, from the first ``count`` of
+    the queue."""
+    nx, ny, nz = shape
+    next_index = 0
+    while next_index < count:
         voxel = queue[next_index]
         next_index += 1
         level, column = voxel // (nx * ny), voxel % (nx * ny)
@@ -168,8 +165,14 @@ def divide_voxels(voxels, volume, before, shape, people, core, far, queue):
                     other = voxel + dz * nx * ny + dy * nx + dx
                     if volume[other] == 255:
                         volume[other] = volume[voxel]
-                        queue[queue_length] = other
-                        queue_length += 1
+                        queue[count] = other
+                        count += 1
+
+
+@numba.njit(cache=True, nogil=True)
+def _assign_nearest(voxels, volume, shape, people, far):
+    """Give voxels without an owner, and those ``far`` from theirs, to the nearest person."""
+    nx, ny, _ = shape
     for voxel in voxels:
         column = voxel % (nx * ny)
         x, y = column % nx, column // nx
@@ -180,8 +183,28 @@ def divide_voxels(voxels, volume, before, shape, people, core, far, queue):
                 nearest, least = int(people[k, 0]), distance
             if people[k, 0] == volume[voxel]:
                 own_distance = distance
-        if own_distance > far:  # without an owner, or far from them
+        if own_distance > far:  # infinite without an owner
             volume[voxel] = nearest
+
+
+@numba.njit(cache=True, nogil=True)
+def divide_voxels(voxels, volume, before, shape, people, core, far, queue):
+    """Write the label of the person whom each voxel of a blob belongs to into ``volume``, where the voxels are 255.
+
+    A person keeps the voxels that they had in the volume ``before``, shifted by their predicted movement, and those in
+    their core. A new voxel goes to the person it is connected to by the fewest voxels. The rest, and voxels ``far``
+    from their person, go to the nearest person.
+
+    Args:
+        shape: columns in x and y, levels.
+        people: rows of label, predicted centre x, y (in columns), predicted movement x, y since ``before`` (whole
+            columns).
+        core, far: radii in columns.
+        queue: buffer as long as ``voxels``.
+    """
+    count = _claim_voxels(voxels, volume, before, shape, people, core, far, queue)
+    _spread_owners(volume, shape, queue, count)
+    _assign_nearest(voxels, volume, shape, people, far)
 
 
 @numba.njit(cache=True, nogil=True)

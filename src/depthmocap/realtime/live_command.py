@@ -98,15 +98,8 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> RunResul
             came at all.
     """
     console = console or Terminal(stderr=True)
-    if not settings.sources:
-        raise InputError("name at least one camera or recording: depthmocap cameras lists cameras")
-    if settings.seconds is not None and not settings.seconds > 0:
-        raise InputError(f"--seconds must be positive, got {settings.seconds}")
-    check_above_0({"--rate-hz": settings.rate_hz})
-    check_at_least(0, {"--wait-ms": settings.wait_ms})
+    _check_settings(settings)
     take = Take("live", settings.sources, "z", settings)
-    if settings.record is not None:
-        check_name("--record", settings.record)
     with contextlib.ExitStack() as stack:
         page = _open_page(settings, stack) if settings.view else None
         capture = _make_capture(settings, console, () if page is None else (page,))
@@ -149,22 +142,36 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> RunResul
         if settings.seconds is not None and isinstance(capture, LiveCapture):
             capture.stop_after(settings.seconds)
         _write_poses(capture, take, files, people_files, settings.seconds, console)
-    if not capture.statistics.poses:
-        problems = joined(capture.problems, 3)
-        if capture.sets_before_ready:
-            raise InputError(
-                f"no set of frames came once it was ready for poses, and {capture.sets_before_ready} before; on a new "
-                f"machine that takes longest: try again{problems and f' ({problems})'}"
-            )
-        raise InputError(f"no set of frames came: {problems or 'are the cameras running?'}")
+    _check_any_poses(capture)
     _report(files.summary, settings.out, recording.written if recording is not None else (), console)
     if settings.out is not None:
         for problem in write_more_formats(settings, settings.out, markers):
             console.print(f"• {problem}")
-        if markers:
-            digest = read_result(settings.out, edited=False).edits.digest
-            write_edits(settings.out, Edits(digest, markers=tuple(markers)))
+        _write_markers(settings.out, markers)
     return RunResult(settings.out, files.summary)
+
+
+def _check_settings(settings: LiveSettings) -> None:
+    if not settings.sources:
+        raise InputError("name at least one camera or recording: depthmocap cameras lists cameras")
+    if settings.seconds is not None and not settings.seconds > 0:
+        raise InputError(f"--seconds must be positive, got {settings.seconds}")
+    check_above_0({"--rate-hz": settings.rate_hz})
+    check_at_least(0, {"--wait-ms": settings.wait_ms})
+    if settings.record is not None:
+        check_name("--record", settings.record)
+
+
+def _check_any_poses(capture: LiveCapture | Replay) -> None:
+    if capture.statistics.poses:
+        return
+    problems = joined(capture.problems, 3)
+    if capture.sets_before_ready:
+        raise InputError(
+            f"no set of frames came once it was ready for poses, and {capture.sets_before_ready} before; on a new "
+            f"machine that takes longest: try again{problems and f' ({problems})'}"
+        )
+    raise InputError(f"no set of frames came: {problems or 'are the cameras running?'}")
 
 
 def _open_page(settings: LiveSettings, stack: contextlib.ExitStack) -> LivePage:
@@ -277,6 +284,12 @@ def _finish_files(
         "cameras_apart_cm": {name: 100 * apart_m for name, apart_m in capture.apart_m().items()},
         "problems": {**capture.problems, **dict.fromkeys(people_files.problems if people_files else (), 1)},
     }
+
+
+def _write_markers(out: Path, markers: Sequence[Marker]) -> None:
+    if markers:
+        digest = read_result(out, edited=False).edits.digest
+        write_edits(out, Edits(digest, markers=tuple(markers)))
 
 
 def _report(summary: Summary, out: Path | None, recorded: Sequence[Path], console: Console) -> None:

@@ -52,6 +52,7 @@ _CLEARANCE_M = 0.3
 #: A person's number in a picture's code times this, plus the material.
 _CODE = 16
 _TRIES = 8
+_NO_EYES = np.zeros((0, 3))
 _HIP, _NECK = JOINT_INDEX["Hip"], JOINT_INDEX["Neck"]
 
 
@@ -174,42 +175,12 @@ def populated_scene(
     Args:
         draw_person: gives a person in any posture and place; None for a room without people.
     """
-    count = int(rng.choice(len(_COUNTS), p=_COUNTS))
-    people: list[PosedPerson] = []
-    for _ in range(count if draw_person else 0):
-        assert draw_person is not None
-        person = draw_person(rng)
-        placed = _placed(rng, person, people)
-        if placed is not None:
-            people.append(placed)
-    eyes = np.zeros((0, 3))
+    people = _draw_people(rng, draw_person)
     joints = np.concatenate([person.joints for person in people]) if people else np.zeros((18, 3))
-    place = Place(eyes, joints, 0.0, 0.0)
+    place = Place(_NO_EYES, joints, 0.0, 0.0)
     if not people:
         place.occupy(np.zeros((1, 3)))  # the room is made around what is occupied
-    supports: list[Solids] = []
-    blankets: list[Layer] = []
-    for k, person in enumerate(people):
-        people[k], support = _supported(rng, person)
-        supports.append(support)
-        place.occupy(_points(people[k]))
-        if len(support) and rng.random() < _UNDER_BLANKET:
-            blankets.append(blanket_over(rng, people[k]))
-    for person in people:
-        of_person = Place(eyes, person.joints, 0.0, 0.0)
-        of_person.occupy(_points(person))
-        under = seat(rng, of_person)
-        if len(under):
-            supports.append(under)
-            if rng.random() < _WHEELCHAIR:
-                supports.append(_wheels(rng, person))
-            elif rng.random() < _AT_TABLE:
-                supports.append(_table_before(rng, person, place))
-    for person in people:
-        if rng.random() < _IN_DOORWAY:
-            wall = _wall_end(rng, person)
-            if not any(wall.hold_any(other.vertices[::9].astype(float)) for other in people if other is not person):
-                supports.append(wall)
+    people, supports, blankets = _support(rng, people, place)
     objects = []
     for person in people:
         if rng.random() < 0.2:
@@ -228,6 +199,51 @@ def populated_scene(
     solids = join([shell, *supports, *objects, *pieces])
     margin = np.array([0.15, 0.15, 0.1])
     return PopulatedScene(tuple(people), dolls, tuple(blankets), solids, low + margin, high - margin)
+
+
+def _draw_people(
+    rng: np.random.Generator, draw_person: Callable[[np.random.Generator], PosedPerson] | None
+) -> list[PosedPerson]:
+    count = int(rng.choice(len(_COUNTS), p=_COUNTS))
+    people: list[PosedPerson] = []
+    for _ in range(count if draw_person else 0):
+        assert draw_person is not None
+        person = draw_person(rng)
+        placed = _placed(rng, person, people)
+        if placed is not None:
+            people.append(placed)
+    return people
+
+
+def _support(
+    rng: np.random.Generator, people: list[PosedPerson], place: Place
+) -> tuple[list[PosedPerson], list[Solids], list[Layer]]:
+    """The people as they lie on beds, what they lie or sit on and what stands by them, and blankets over them."""
+    people = list(people)
+    supports: list[Solids] = []
+    blankets: list[Layer] = []
+    for k, person in enumerate(people):
+        people[k], support = _supported(rng, person)
+        supports.append(support)
+        place.occupy(_points(people[k]))
+        if len(support) and rng.random() < _UNDER_BLANKET:
+            blankets.append(blanket_over(rng, people[k]))
+    for person in people:
+        of_person = Place(_NO_EYES, person.joints, 0.0, 0.0)
+        of_person.occupy(_points(person))
+        under = seat(rng, of_person)
+        if len(under):
+            supports.append(under)
+            if rng.random() < _WHEELCHAIR:
+                supports.append(_wheels(rng, person))
+            elif rng.random() < _AT_TABLE:
+                supports.append(_table_before(rng, person, place))
+    for person in people:
+        if rng.random() < _IN_DOORWAY:
+            wall = _wall_end(rng, person)
+            if not any(wall.hold_any(other.vertices[::9].astype(float)) for other in people if other is not person):
+                supports.append(wall)
+    return people, supports, blankets
 
 
 def _points(person: PosedPerson) -> Float[ndarray, "p 3"]:
