@@ -13,7 +13,7 @@ from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, look_at
 from depthmocap.recordings.recording import Recording
 from depthmocap.recordings.recording_writer import RecordingWriter
-from depthmocap.recordings.timestamps import StampSet, fill_gaps, frame_period_ns, group_stamps
+from depthmocap.recordings.timestamps import StampSet, add_empty_sets, frame_period_ns, group_stamps
 
 PERIOD = 33_000_000
 EPOCH = 1_700_000_000_000_000_000
@@ -117,12 +117,12 @@ def test_gaps_become_empty_sets_and_long_pauses_do_not() -> None:
     def at(stamp: int) -> StampSet:
         return StampSet(stamp, {"a": stamp})
 
-    sets, problems = fill_gaps([at(0), at(100), at(148 + 100), at(552)], 100)
+    sets, problems = add_empty_sets([at(0), at(100), at(148 + 100), at(552)], 100)
     assert [(s.timestamp_ns, bool(s.stamps)) for s in sets] == [
         (0, True), (100, True), (248, True), (349, False), (450, False), (552, True),
     ]  # fmt: skip
     assert problems == []
-    sets, problems = fill_gaps([at(0), at(60_000_000_000)], PERIOD)
+    sets, problems = add_empty_sets([at(0), at(60_000_000_000)], PERIOD)
     assert len(sets) == 2
     assert "60.0 s" in problems[0]
 

@@ -97,13 +97,12 @@ def test_pixel_accuracy() -> None:
 def test_pixel_accuracy_is_pooled_over_images() -> None:
     rng = np.random.default_rng(0)
     true, said = rng.integers(0, 44, (2, 5, 40), dtype=np.uint8)
-    whole, first, second = PixelAccuracy(), PixelAccuracy(), PixelAccuracy()
+    whole, parts = PixelAccuracy(), PixelAccuracy()
     whole.add(true, said)
-    first.add(true[:2], said[:2])
-    second.add(true[2:].astype(np.int64), said[2:].astype(np.int64))
-    merged = first.merge(second)
-    np.testing.assert_array_equal(merged.confusion, whole.confusion)
-    assert first.pixels + second.pixels == merged.pixels == (true > 0).sum()
+    parts.add(true[:2], said[:2])
+    parts.add(true[2:].astype(np.int64), said[2:].astype(np.int64))
+    np.testing.assert_array_equal(parts.confusion, whole.confusion)
+    assert parts.pixels == whole.pixels == (true > 0).sum()
 
 
 def test_pixel_accuracy_of_nothing_and_of_bad_labels() -> None:

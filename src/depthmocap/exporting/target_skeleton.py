@@ -7,7 +7,7 @@ animation to a character by names and rest pose need no others.
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -18,7 +18,6 @@ from depthmocap.exporting.body_motion import BodyMotion
 from depthmocap.geometry import rotation_between
 
 SkeletonName = Literal["depthmocap", "unity", "unreal", "mixamo", "cmu", "vrm"]
-SKELETONS: tuple[SkeletonName, ...] = get_args(SkeletonName)
 RestPose = Literal["t", "a"]
 
 #: How far the arms of an A pose hang below those of a T pose (radians).

@@ -23,7 +23,7 @@ from depthmocap.recordings.recording_layout import (
     list_frames,
     read_depth_png,
 )
-from depthmocap.recordings.timestamps import check_clocks, check_unit, fill_gaps, frame_period_ns, group_stamps
+from depthmocap.recordings.timestamps import add_empty_sets, check_clocks, check_unit, frame_period_ns, group_stamps
 from depthmocap.recordings.true_joints import TrueJoints
 from depthmocap.recordings.unfinished import unfinished
 
@@ -91,7 +91,7 @@ class Recording(FrameSource):
         for name, camera_stamps in stamps.items():
             self._check_first(name, camera_stamps)
         self._backgrounds = {name: self._read_background(name) for name in self.rig.names}
-        self._sets, gaps = fill_gaps(group_stamps(stamps, self.period_ns, offsets_ns), self.period_ns)
+        self._sets, gaps = add_empty_sets(group_stamps(stamps, self.period_ns, offsets_ns), self.period_ns)
         for gap in gaps:
             self._note(f"{path}: {gap}")
         self._truth = self._align_truth(self._load_truth() if rig is None else None)

@@ -82,7 +82,7 @@ def group_stamps(
     return sets
 
 
-def fill_gaps(sets: Sequence[StampSet], period_ns: int) -> tuple[list[StampSet], list[str]]:
+def add_empty_sets(sets: Sequence[StampSet], period_ns: int) -> tuple[list[StampSet], list[str]]:
     """Add empty sets where no camera delivered for 1.5 periods; returns the sets and a line for each longer gap."""
     filled: list[StampSet] = []
     problems: list[str] = []

@@ -172,10 +172,6 @@ class PixelAccuracy:
             raise InputError(f"predicted labels must be 0–{REGION_COUNT}, got {predicted.min()} to {predicted.max()}")
         self.confusion += np.bincount(true * classes + predicted, minlength=classes**2).reshape(classes, classes)
 
-    def merge(self, other: PixelAccuracy) -> PixelAccuracy:
-        """The sum of both counts."""
-        return PixelAccuracy(self.confusion + other.confusion)
-
     @property
     def pixels(self) -> int:
         """Number of pixels counted."""

@@ -21,6 +21,7 @@ from depthmocap.geometry.transforms import rotation_between
 from depthmocap.synth.body.bones import POSTURE_INDEX, local_rotations
 from depthmocap.synth.body.mesh import REST_POSTURE
 from depthmocap.synth.people.garments import DressedBody
+from depthmocap.synth.people.shell import smoothstep
 from depthmocap.synth.render import PosedPerson
 
 #: Sign of each side along +X.
@@ -169,11 +170,6 @@ def _channels(times_s: Float[ndarray, " n"], score: Score) -> dict[str, Float[nd
             np.r_[key_times[0] - 1, key_times, key_times[-1] + 1], np.r_[values[0], values, values[-1]]
         )(clamped)
     return channels
-
-
-def smoothstep(s: Float[ndarray, " n"]) -> Float[ndarray, " n"]:
-    s = np.clip(s, 0, 1)
-    return s * s * (3 - 2 * s)
 
 
 def _bump(s: Float[ndarray, " n"]) -> Float[ndarray, " n"]:

@@ -21,7 +21,6 @@ statistics with pictures of a Kinect 1, a Kinect 2, an Xtion and a D415 (``depth
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -30,8 +29,6 @@ from numpy import ndarray
 from depthmocap.errors import InputError
 from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.synth.sensing.sensor import SensorModel
-
-Technology = Literal["tof", "structured light", "stereo"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,7 +41,6 @@ class SensorPreset:
     fy: float
     cx: float
     cy: float
-    technology: Technology
     model: SensorModel
     depth_unit_m: float = 0.001
 
@@ -151,7 +147,7 @@ _AZURE_WIDE_BINNED = dataclasses.replace(_AZURE, range_m=(0.25, 2.88), reach_m=8
 
 
 def _azure(width: int, height: int, focal: float, cx: float, cy: float, model: SensorModel) -> SensorPreset:
-    return SensorPreset(width, height, focal, focal, cx, cy, "tof", model)
+    return SensorPreset(width, height, focal, focal, cx, cy, model)
 
 
 #: Focal lengths are those of usual calibrations: data sheets count the field of view with the lens's distortion.
@@ -161,10 +157,10 @@ _WFOV = _azure(1024, 1024, 504.5, 513.8, 516.0, _AZURE_WIDE)
 _WFOV_BINNED = _azure(512, 512, 252.25, 256.7, 257.8, _AZURE_WIDE_BINNED)
 
 SENSORS: dict[str, SensorPreset] = {
-    "kinect1": SensorPreset(640, 480, 580.0, 580.0, 319.5, 239.5, "structured light", _KINECT1),
-    "kinect2": SensorPreset(512, 424, 366.7, 366.7, 261.3, 204.1, "tof", _KINECT2),
+    "kinect1": SensorPreset(640, 480, 580.0, 580.0, 319.5, 239.5, _KINECT1),
+    "kinect2": SensorPreset(512, 424, 366.7, 366.7, 261.3, 204.1, _KINECT2),
     # The ray table of datasets.ubc3v, as a pinhole.
-    "ubc3v": SensorPreset(512, 424, 368.74, 367.93, 253.15, 205.13, "tof", _UBC3V),
+    "ubc3v": SensorPreset(512, 424, 368.74, 367.93, 253.15, 205.13, _UBC3V),
     "azure-nfov": _NFOV,
     "azure-nfov-binned": _NFOV_BINNED,
     "azure-wfov": _WFOV,
@@ -173,7 +169,7 @@ SENSORS: dict[str, SensorPreset] = {
     "femto-bolt-nfov-binned": _NFOV_BINNED,
     "femto-bolt-wfov": _WFOV,
     "femto-bolt-wfov-binned": _WFOV_BINNED,
-    "realsense-d435": SensorPreset(848, 480, 424.0, 424.0, 423.5, 239.5, "stereo", _D435),
+    "realsense-d435": SensorPreset(848, 480, 424.0, 424.0, 423.5, 239.5, _D435),
     "realsense-d455": SensorPreset(
         848,
         480,
@@ -181,7 +177,6 @@ SENSORS: dict[str, SensorPreset] = {
         424.0,
         423.5,
         239.5,
-        "stereo",
         dataclasses.replace(
             _D435, range_m=(0.4, 12.0), axial_m=(0.0, 0.0, 0.05 / (424 * 0.095)), shadow_m=0.095, baseline_m=0.095
         ),
@@ -194,7 +189,6 @@ SENSORS: dict[str, SensorPreset] = {
         1 / 0.0035,
         160.0,
         120.0,
-        "structured light",
         dataclasses.replace(
             _KINECT1,
             patch_px=4.0,
