@@ -87,10 +87,9 @@ $(VENV)/blender: $(VENV)/base
 	$@/$(if $(filter Windows_NT,$(OS)),Scripts,bin)/pip install -q --disable-pip-version-check bpy==5.0.1
 	touch $@
 
-# Anny's cache, which processes must not fill at the same time, and the kernels that make pictures, which each of them
-# would compile.
+# Anny's cache, which processes must not fill at the same time, and the kernels, which each of them would compile.
 $(VENV)/body: $(VENV)/dev
-	$(BIN)/python -c 'from depthmocap.synth.sample import *; Sampler(Recipe("open", noise="sensor", scene="full"), 0)(0)'
+	$(BIN)/python tests/support/compile_kernels.py
 	touch $@
 
 clean:

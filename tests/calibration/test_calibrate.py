@@ -34,6 +34,7 @@ def change_rig(path, change) -> None:
     (path / "rig.json").write_text(json.dumps(rig))
 
 
+@pytest.mark.slow
 def test_the_packaged_recording(tmp_path, capsys):
     path, out = unplaced(tmp_path), tmp_path / "found" / "rig.json"
     assert main(["calibrate", str(path), "--out", str(out), "--json", str(tmp_path / "numbers.json")]) == 0

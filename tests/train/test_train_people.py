@@ -88,6 +88,7 @@ def test_a_run_trains_resumes_and_exports_what_the_detector_reads(
             tmp_path / "run", images=images, batch=8, workers=0, valid_every=16, valid_scenes=1, average=0.5
         )
 
+    monkeypatch.setattr("depthmocap.train.train_people._RANGE_BATCHES", 1)  # each is of two new scenes
     with monkeypatch.context() as patch:
         patch.setattr("depthmocap.train.train_people.export_people_onnx", lambda network, path, *others: path)
         train_people(settings(16))
