@@ -106,15 +106,15 @@ def _main(arguments: list[str] | None) -> int:
             return 2
         sys.stdout.write(completion_script(arguments[1]))
         return 0
-    found = _find(arguments)
-    if found is None and arguments[-1] in ("-h", "--help"):
+    match = _find(arguments)
+    if match is None and arguments[-1] in ("-h", "--help"):
         _print_help(console)
         return 0
-    if found is None:
+    if match is None:
         _tell_error(errors, InputError(f"no command '{' '.join(arguments[:2])}'"))
         _print_help(errors)
         return 2
-    command, rest = found
+    command, rest = match
     # Third-party warnings about their own futures mean nothing to a user.
     warnings.simplefilter("ignore", DeprecationWarning)
     if logging.lastResort is not None:  # which prints our warnings where nobody has asked for others

@@ -58,7 +58,7 @@ def options(settings: type, *, prefixed: bool = True) -> list[Option]:
     """The options that a settings dataclass becomes, with those of dataclasses within it, which are ``prefixed`` by the
     name of their field or not."""
     hints = typing.get_type_hints(settings, include_extras=True)
-    found = []
+    listed: list[Option] = []
     for field in dataclasses.fields(settings):
         kind = hints[field.name]
         markers = getattr(kind, "__metadata__", ())
@@ -70,12 +70,12 @@ def options(settings: type, *, prefixed: bool = True) -> list[Option]:
             with_prefix = prefixed and _WITHOUT_PREFIX not in markers
             prefix = f"{name}." if with_prefix else ""
             inner = options(typing.cast(type, kind), prefixed=with_prefix)[:-1]
-            found += [dataclasses.replace(option, name=f"--{prefix}{option.name[2:]}") for option in inner]
+            listed += [dataclasses.replace(option, name=f"--{prefix}{option.name[2:]}") for option in inner]
         elif kind is bool:
-            found += [Option(f"--{name}"), Option(f"--no-{name}")]
+            listed += [Option(f"--{name}"), Option(f"--no-{name}")]
         else:
-            found.append(Option(f"--{name}", _choices(kind)))
-    return [*found, Option("--help")]
+            listed.append(Option(f"--{name}", _choices(kind)))
+    return [*listed, Option("--help")]
 
 
 def _choices(kind: Any) -> tuple[str, ...]:
@@ -109,9 +109,9 @@ def completion_script(shell: str) -> str:
             candidates = after.setdefault(" ".join(words[:i]), [])
             if word not in candidates:
                 candidates.append(word)
-        found = _options_of(command)
-        after.setdefault(command.words, []).extend(option.name for option in found)
-        values |= {(command.words, option.name): option.choices for option in found if option.choices}
+        taken = _options_of(command)
+        after.setdefault(command.words, []).extend(option.name for option in taken)
+        values |= {(command.words, option.name): option.choices for option in taken if option.choices}
 
     def case(words: str, candidates: Iterable[str]) -> str:
         return f"    {shlex.quote(words)}) candidates={shlex.quote(' '.join(candidates))} ;;"

@@ -28,7 +28,7 @@ class View:
         def turned(picture: ndarray) -> ndarray:
             return np.ascontiguousarray(np.rot90(picture, quarters))
 
-        mask, labels = (None if each is None else turned(each) for each in (self.mask, self.labels))
+        mask, labels = (None if picture is None else turned(picture) for picture in (self.mask, self.labels))
         return View(self.camera.turned(quarters), turned(self.depth_m), mask, labels)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import dataclasses
 import threading
 from pathlib import Path
@@ -57,16 +58,23 @@ def test_the_joints_of_a_result_at_their_times(take: tuple[Path, Path], osc: Osc
     assert seconds == table.stamps_ns.tolist()
 
 
+@pytest.mark.usefixtures("usual_signals")
 def test_the_recording_and_the_joints_in_foxglove(take: tuple[Path, Path]) -> None:
     recording, out = take
     port, told = free_port(), Terminal(record=True, width=200)
 
     def listen() -> None:
-        clients.append(FoxgloveClient(port))
+        try:
+            client = FoxgloveClient(port)
+            clients.append(client)
+            wait_until(lambda: all(map(client.of, ("/cam0/depth", "/cam1/depth", "/joints"))))
+        finally:
+            _thread.interrupt_main()
 
     clients: list[FoxgloveClient] = []
     threading.Thread(target=listen).start()
-    replay(ReplaySettings(recording, out, (f"foxglove://127.0.0.1:{port}",), speed=0.3), told)
+    with pytest.raises(KeyboardInterrupt):  # round after round, until all was heard
+        replay(ReplaySettings(recording, out, (f"foxglove://127.0.0.1:{port}",), speed=3.0, loop=True), told)
     (client,) = clients
     client.close()
     assert f"open ws://127.0.0.1:{port} in Foxglove" in told.export_text()

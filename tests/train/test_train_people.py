@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -80,21 +81,39 @@ def test_a_small_person_counts_for_more_than_their_samples() -> None:
     assert loss == pytest.approx(3 * 9 * 16 / 1600, rel=0.02)
 
 
-def test_a_run_trains_resumes_and_exports_what_the_detector_reads(
-    examples, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def settings(images: int) -> PeopleTraining:
-        return PeopleTraining(
-            tmp_path / "run", images=images, batch=8, workers=0, valid_every=16, valid_scenes=1, average=0.5
-        )
+def settings_of(folder: Path, images: int) -> PeopleTraining:
+    return PeopleTraining(folder, images=images, batch=8, workers=0, valid_every=16, valid_scenes=1, average=0.5)
 
-    monkeypatch.setattr("depthmocap.train.train_people._RANGE_BATCHES", 1)  # each is of two new scenes
-    with monkeypatch.context() as patch:
-        patch.setattr("depthmocap.train.train_people.export_people_onnx", lambda network, path, *others: path)
-        train_people(settings(16))
-    network = train_people(settings(24))
-    rows = (tmp_path / "run" / "history.jsonl").read_text().splitlines()
-    assert '"step": 24' in rows[-1]
+
+def draw_few_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Batches of one scene each, for scenes take longer to make than steps."""
+    monkeypatch.setattr("depthmocap.train.train_people._RANGE_BATCHES", 1)
+    monkeypatch.setattr("depthmocap.train.train_people._MIXED", 0)
+
+
+def test_a_run_trains_and_resumes(body_model: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[dict[str, str]] = []
+
+    def export(network: PeopleNet, path: Path, metadata: dict[str, str], pictures: list[np.ndarray]) -> Path:
+        assert len(pictures) == 8
+        told.append(metadata)
+        return path
+
+    draw_few_scenes(monkeypatch)
+    monkeypatch.setattr("depthmocap.train.train_people.export_people_onnx", export)  # which takes longer than the rest
+    for images in (16, 24):
+        train_people(settings_of(tmp_path / "run", images))
+    assert told == [{"images": "16"}, {"images": "24"}]
+    rows = [json.loads(row) for row in (tmp_path / "run" / "history.jsonl").read_text().splitlines()]
+    assert [row["step"] for row in rows] == [16, 24]
+    assert all(np.isfinite(row["loss"]) and 0 <= row["iou"] <= 1 for row in rows)
+    PeopleNet().load_state_dict(load_file(tmp_path / "run" / "people.safetensors"))
+
+
+@pytest.mark.slow
+def test_a_run_exports_what_the_detector_reads(examples, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    draw_few_scenes(monkeypatch)
+    network = train_people(settings_of(tmp_path / "run", 16))
     detected = PeopleDetector(network)(
         grid_of(DepthCamera("c", 256, 212, 182.0, 182.0, 127.5, 105.5), np.array([0.0, 0.0, 1.0])),
         np.full((212, 256), 2.0, np.float32),

@@ -115,13 +115,13 @@ def test_what_cannot_be_is_told_and_changes_nothing(
     told: list[str] = []
     monkeypatch.setattr(controls._view.page, "tell", lambda text, wrong=False: told.append(text))
     choose(controls.other, controls.person.value)
-    controls._told(controls._join)()
+    controls._showing_errors(controls._join)()
     digest = read_result(result).edits.digest
     write_edits(result, Edits(digest, (), controls._edits.markers))
     choose(controls.text, "a")
     controls._set_marker()
     write_edits(result, Edits(digest))  # somebody else
-    controls._told(controls._set_marker)()
+    controls._showing_errors(controls._set_marker)()
     assert "cannot be joined" in told[0] and "by somebody else" in told[1] and len(told) == 2
     assert not (result / EDITS_FILE).exists()
 

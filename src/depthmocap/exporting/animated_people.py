@@ -50,7 +50,7 @@ class AnimatedPerson:
 
         def ranges(mask: Bool[ndarray, "n 18"]) -> dict[str, FrameRanges]:
             by_joint = {joint: frame_ranges(mask[:, i]) for i, joint in enumerate(JOINTS)}
-            return {joint: found for joint, found in by_joint.items() if found}
+            return {joint: stretches for joint, stretches in by_joint.items() if stretches}
 
         return {"held": ranges(self.motion.held), "filled": ranges(self.motion.filled)}
 

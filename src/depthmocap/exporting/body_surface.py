@@ -72,9 +72,9 @@ def fitted_surface(offsets: Float[ndarray, "18 3"], rest: RestPose) -> BodySurfa
         offsets: of each joint from its parent in the T pose.
     """
     body = _packaged_body()
-    own = body.joint_positions
+    packaged = body.joint_positions
     turns = rest_turns(rest)
-    tall = _stature(offsets) / _stature(own - own[[JOINT_INDEX[PARENTS[joint] or joint] for joint in JOINTS]])
+    tall = _stature(offsets) / _stature(packaged - packaged[[JOINT_INDEX[PARENTS[joint] or joint] for joint in JOINTS]])
     positions = np.zeros((len(JOINTS), 3))
     moved = np.zeros((len(body.vertices), 3))
     rotations: dict[str, ndarray] = {}
@@ -85,7 +85,7 @@ def fitted_surface(offsets: Float[ndarray, "18 3"], rest: RestPose) -> BodySurfa
         if parent is not None:
             p = JOINT_INDEX[parent]
             positions[i] = positions[p] + turns[p] @ offsets[i]
-        before, after = own[children] - own[i], offsets[children]
+        before, after = packaged[children] - packaged[i], offsets[children]
         ratios = np.linalg.norm(after, axis=-1) / np.linalg.norm(before, axis=-1)
         stretch = np.eye(3) * (tall if not children else ratios.mean())
         rotation = np.eye(3)
@@ -98,7 +98,7 @@ def fitted_surface(offsets: Float[ndarray, "18 3"], rest: RestPose) -> BodySurfa
         rotations[joint] = rotation
         matrix = turns[i] @ rotation @ stretch
         share = np.where(body.joints == i, body.weights, 0).sum(1) / 255
-        moved += share[:, None] * ((body.vertices - own[i]) @ matrix.T + positions[i])
+        moved += share[:, None] * ((body.vertices - packaged[i]) @ matrix.T + positions[i])
     return BodySurface(moved, _normals(moved, body.faces), body.faces, body.joints, body.weights)
 
 

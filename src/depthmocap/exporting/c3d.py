@@ -64,7 +64,7 @@ def write_c3d(path: Path, take: ExportedTake, settings: FileSettings) -> None:
         for line, person in zip(lines, take.people, strict=True)
     ]
     parts = [_points(motion, confidence) for motion, confidence in zip(motions, confidences, strict=True)]
-    points, residuals = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
+    points, residuals = (np.concatenate(of_people, axis=1) for of_people in zip(*parts, strict=True))
     names = [take.name(person) for person in take.people]
     labels = [f"{name}:{joint}" if name else joint for name in names for joint in JOINTS]
 

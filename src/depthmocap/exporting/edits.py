@@ -187,17 +187,17 @@ def _apply_name(state: EditedPeople, edit: Edit, where: str) -> EditedPeople:
 
 
 def _apply_join(state: EditedPeople, edit: Edit, where: str) -> EditedPeople:
-    own, other = _table(state, edit.person, where), _table(state, edit.other, where)
+    table, other = _table(state, edit.person, where), _table(state, edit.other, where)
     if edit.person == edit.other:
         raise InputError(f"{where}: person {edit.person} cannot be joined with themselves")
-    seen = np.asarray(np.isfinite(own.joints).any((1, 2)))
-    taken = np.isin(other.stamps_ns, own.stamps_ns[seen])
+    seen = np.asarray(np.isfinite(table.joints).any((1, 2)))
+    taken = np.isin(other.stamps_ns, table.stamps_ns[seen])
     # Rows without a joint give way to rows of the other at the same instant.
-    kept = seen | ~np.isin(own.stamps_ns, other.stamps_ns[~taken])
-    own, other = _rows(own, kept), _rows(other, ~taken)
+    kept = seen | ~np.isin(table.stamps_ns, other.stamps_ns[~taken])
+    table, other = _rows(table, kept), _rows(other, ~taken)
     both = PoseTable(
-        np.concatenate([own.stamps_ns, other.stamps_ns]), own.on_clock,
-        *(np.concatenate([getattr(own, key), getattr(other, key)]) for key in ("times_s", "joints", "confidence")),
+        np.concatenate([table.stamps_ns, other.stamps_ns]), table.on_clock,
+        *(np.concatenate([getattr(table, key), getattr(other, key)]) for key in ("times_s", "joints", "confidence")),
     )  # fmt: skip
     joined = _rows(both, np.argsort(both.stamps_ns, kind="stable"))
     assert edit.person is not None and edit.other is not None

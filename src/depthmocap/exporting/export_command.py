@@ -156,7 +156,7 @@ def _person_entry(take: ExportedTake, person: StoredPerson, settings: FileSettin
 
     def ranges(mask: Any) -> dict[str, list[list[int]]]:
         by_joint = {joint: frame_ranges(mask[:, i]) for i, joint in enumerate(JOINTS)}
-        return {joint: found for joint, found in by_joint.items() if found}
+        return {joint: stretches for joint, stretches in by_joint.items() if stretches}
 
     return {
         "person": person.number,

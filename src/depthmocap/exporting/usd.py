@@ -89,8 +89,8 @@ def _add_person(stage: Any, path: Any, person: AnimatedPerson) -> None:
 
     joints: list[str] = []
     for bone in skeleton.bones:
-        own = _identifier(bone.name)
-        joints.append(f"{joints[bone.parent]}/{own}" if bone.parent >= 0 else own)
+        name = _identifier(bone.name)
+        joints.append(f"{joints[bone.parent]}/{name}" if bone.parent >= 0 else name)
     skel = UsdSkel.Skeleton.Define(stage, path.AppendChild(f"{path.name}_skeleton"))
     skel.CreateJointsAttr(joints)
     skel.CreateJointNamesAttr([bone.name for bone in skeleton.bones])

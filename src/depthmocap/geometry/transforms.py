@@ -61,9 +61,9 @@ def look_at(
 def rotation_between(a: Float[ndarray, "*n 3"], b: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3 3"]:
     """Shortest rotation that takes direction ``a`` to direction ``b`` (neither needs unit length)."""
     a, b = a.astype(np.float64), b.astype(np.float64)  # near 180° single precision is not enough
-    a, b = (each / np.sqrt((each * each).sum(-1, keepdims=True)) for each in (a, b))
+    a, b = (direction / np.sqrt((direction * direction).sum(-1, keepdims=True)) for direction in (a, b))
     cos = (a * b).sum(-1)[..., None, None]
-    ax, ay, az, bx, by, bz = (each[..., i] for each in (a, b) for i in range(3))
+    ax, ay, az, bx, by, bz = (direction[..., i] for direction in (a, b) for i in range(3))
     x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     cross = np.zeros((*x.shape, 3, 3))
     cross[..., 2, 1], cross[..., 0, 2], cross[..., 1, 0] = x, y, z

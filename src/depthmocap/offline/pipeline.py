@@ -155,35 +155,35 @@ class Pipeline:
 
     def finish_people(self) -> dict[int, list[Pose]]:
         """The same of everybody, by their numbers, where several people are followed."""
-        held = {number: own.filter.finish() for number, own in self._filters.items()}
+        held = {number: smoother.filter.finish() for number, smoother in self._filters.items()}
         self._filters.clear()
         return held
 
     def __call__(self, frames: FrameSet) -> Result:
         """Process one frame set. Without a person (or a view) the joints are NaN and their confidence 0."""
         clock = [time.perf_counter()]
-        seen = self.segment(frames)
+        persons = self.segment(frames)
         nobody = tuple(np.zeros(view.depth_m.shape, np.bool_) for view in frames.views)
         # Somebody is looked for even where nobody is, so that every set has a pose.
-        all_masks = [person.masks for person in seen] or [nobody]
+        all_masks = [person.masks for person in persons] or [nobody]
         clock.append(time.perf_counter())
         views = frames.views * len(all_masks)
-        found = self._classifier.label_views(views, [mask for masks in all_masks for mask in masks], self._up)
+        predictions = self._classifier.label_views(views, [mask for masks in all_masks for mask in masks], self._up)
         clock.append(time.perf_counter())
         count = len(frames.views)
-        labelled = [found[i * count : (i + 1) * count] for i in range(len(all_masks))]
-        clouds = [self._merge(frames, own) for own in labelled]
+        by_person = [predictions[i * count : (i + 1) * count] for i in range(len(all_masks))]
+        clouds = [self._merge(frames, of_person) for of_person in by_person]
         clock.append(time.perf_counter())
         raw = [Pose(frames.timestamp_ns, *self._estimator(cloud, self._up)) for cloud in clouds]
         clock.append(time.perf_counter())
         followed = raw[0] if self.smoothing is None else self.smoothing(raw[0])
         final = self._gone(frames.timestamp_ns)
-        poses = [self._smooth(person.number, pose, followed, final) for person, pose in zip(seen, raw, strict=False)]
+        poses = [self._smooth(person.number, pose, followed, final) for person, pose in zip(persons, raw, strict=False)]
         clock.append(time.perf_counter())
-        all_labels = [tuple(each.labels for each in own) for own in labelled]
+        all_labels = [tuple(prediction.labels for prediction in of_person) for of_person in by_person]
         people = [
             PersonResult(person.number, poses[i], person.masks, all_labels[i], clouds[i])
-            for i, person in enumerate(seen)
+            for i, person in enumerate(persons)
         ]
         return Result(
             followed, all_masks[0], all_labels[0], clouds[0],
@@ -191,12 +191,15 @@ class Pipeline:
             tuple(people), final,
         )  # fmt: skip
 
-    def _merge(self, frames: FrameSet, found: list[ViewPrediction]) -> LabelledCloud:
-        return merge_views([LabelledView(view, *each) for view, each in zip(frames.views, found, strict=True)])
+    def _merge(self, frames: FrameSet, predictions: list[ViewPrediction]) -> LabelledCloud:
+        return merge_views(
+            [LabelledView(view, *prediction) for view, prediction in zip(frames.views, predictions, strict=True)]
+        )
 
     def _gone(self, now_ns: int) -> dict[int, list[Pose]]:
         """What filters held back of people whom they forget, by number; a filter begins anew when somebody returns."""
-        gone = [number for number, own in self._filters.items() if not 0 <= now_ns - own.last_ns <= MAX_GAP_S * 1e9]
+        longest_ns = MAX_GAP_S * 1e9
+        gone = [n for n, smoother in self._filters.items() if not 0 <= now_ns - smoother.last_ns <= longest_ns]
         return {number: self._filters.pop(number).filter.finish() for number in gone}
 
     def _smooth(self, number: int, pose: Pose, followed: Pose, final: dict[int, list[Pose]]) -> Pose:
@@ -208,12 +211,12 @@ class Pipeline:
             final[number] = [pose]
             return pose
         if number not in self._filters:
-            own = copy.deepcopy(self.smoothing)
-            own.reset()
-            self._filters[number] = _Smoothed(own)
-        own = self._filters[number]
-        smoothed = own(pose)
-        if own.is_final:
+            own_filter = copy.deepcopy(self.smoothing)
+            own_filter.reset()
+            self._filters[number] = _Smoothed(own_filter)
+        smoother = self._filters[number]
+        smoothed = smoother(pose)
+        if smoother.is_final:
             final.setdefault(number, []).append(smoothed)
         return smoothed
 

@@ -268,6 +268,6 @@ def _error(poses: list[Pose], truths: list[Float[ndarray, "18 3"]]) -> dict[str,
     """How far the joints are from the true ones, where these are known."""
     if not poses or np.isnan(np.stack(truths)).all():
         return None
-    found, true = np.stack([pose.joints for pose in poses]), np.stack(truths)
+    joints, true = np.stack([pose.joints for pose in poses]), np.stack(truths)
     confidence = np.stack([pose.confidence for pose in poses])
-    return joint_numbers(joint_metrics(found, true), reliability(confidence, joint_errors_cm(found, true)))
+    return joint_numbers(joint_metrics(joints, true), reliability(confidence, joint_errors_cm(joints, true)))

@@ -107,11 +107,11 @@ class LiveControls:
         """
         if name not in self.filters:
             raise InputError(f"there is no filter {name!r}: there are {', '.join(self.filters)}")
-        own = self._settings
-        bridge_s = own.bridge_s if name in ("kalman", "fixed-lag") else 0.0
+        settings = self._settings
+        bridge_s = settings.bridge_s if name in ("kalman", "fixed-lag") else 0.0
         smoothing = None
         if name != "none":
-            smoothing = load_filter(cast(FilterName, name), own.lag_frames, bridge_s, own.bones)
+            smoothing = load_filter(cast(FilterName, name), settings.lag_frames, bridge_s, settings.bones)
 
         def change(pipeline: Pipeline) -> None:
             self._write_held(pipeline.finish(), pipeline.finish_people())

@@ -78,13 +78,13 @@ def play(
     frames = 0
 
     def describe(stamp: int) -> int:
-        for each in topics:
-            each.describe(stamp)
+        for topic in topics:
+            topic.describe(stamp)
         return stamp + DESCRIBE_NS
 
     def tell_truth(stamp: int, joints: np.ndarray) -> None:
-        for each in topics:
-            each.truth(stamp, joints)
+        for topic in topics:
+            topic.truth(stamp, joints)
 
     truth = [(stamp, lambda row=(stamp, joints): tell_truth(*row)) for stamp, joints in recording.truth_rows()]
     waiting = collections.deque(sorted([*truth, *others], key=lambda event: event[0]))
@@ -100,8 +100,8 @@ def play(
             raw = recording.raw(name, stamp)
         except InputError:
             continue
-        for each in topics:
-            each.depth(name, each.image(name, stamp, raw), stamp)
+        for topic in topics:
+            topic.depth(name, topic.image(name, stamp, raw), stamp)
         frames += 1
     for event in waiting:
         _when_due(playback_clock, *event)
@@ -186,7 +186,7 @@ def _events(result: StoredResult, outlets: Outlets, speed: float) -> list[_Event
 
     poses: list[_Event] = [(stamp, lambda stamp=stamp: send(stamp)) for stamp in stamps]
     return poses + [
-        (each.timestamp_ns, lambda each=each: mark(each.text, each.timestamp_ns)) for each in result.markers
+        (marker.timestamp_ns, lambda marker=marker: mark(marker.text, marker.timestamp_ns)) for marker in result.markers
     ]
 
 

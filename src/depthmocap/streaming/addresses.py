@@ -35,10 +35,10 @@ def open_stream(address: str) -> Stream:
     if not rest and not address.endswith("://"):
         raise InputError(f"a stream is SCHEME://HOST:PORT, such as osc://127.0.0.1:9000, not {address!r}")
     if scheme not in _STREAMS:
-        raise InputError(f"there is no stream {scheme}://, only {', '.join(f'{each}://' for each in _STREAMS)}")
+        raise InputError(f"there is no stream {scheme}://, only {', '.join(f'{known}://' for known in _STREAMS)}")
     module, name, port = _STREAMS[scheme]
-    what = (_name(rest),) if port is None else _host_and_port(address, port)
-    stream = getattr(importlib.import_module(module), name)(*what)
+    arguments = (_name(rest),) if port is None else _host_and_port(address, port)
+    stream = getattr(importlib.import_module(module), name)(*arguments)
     stream.name = address
     return cast(Stream, stream)
 

@@ -49,10 +49,10 @@ class OscSender:
             InputError: when there is none of this name.
         """
         try:
-            found = socket.getaddrinfo(self._host, self._port, type=socket.SOCK_DGRAM)
+            hosts = socket.getaddrinfo(self._host, self._port, type=socket.SOCK_DGRAM)
         except (OSError, UnicodeError) as error:
             raise InputError(f"no host {self._host!r}: {getattr(error, 'strerror', error)}") from None
-        family, _, _, _, place = found[0]
+        family, _, _, _, place = hosts[0]
         self._client = self._osc.udp_client.UDPClient(str(place[0]), self._port, True, family)
 
     def send(self, messages: list[tuple[str, list[Any]]]) -> None:

@@ -98,7 +98,7 @@ class Outlets:
         Raises:
             InputError: when an address is wrong, or what it needs is not installed.
         """
-        self._streams = [open_stream(each) if isinstance(each, str) else each for each in streams]
+        self._streams = [open_stream(stream) if isinstance(stream, str) else stream for stream in streams]
         self._note = note
         self._outlets: list[_Outlet] = []
         self._last_number = 1

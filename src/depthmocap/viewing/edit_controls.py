@@ -71,15 +71,15 @@ class EditControls:
             (self.naming, self._give_name), (self.mark, self._set_marker), (self.marked, self._use_marker),
             (self.export, self._export),
         ):  # fmt: skip
-            every(handle, self._told(call))
+            every(handle, self._showing_errors(call))
         self._refresh()
 
-    def _told(self, call: Callable[[], None]) -> Callable[[], None]:
-        def told() -> None:
-            with self._view.page.told(), self._lock:
+    def _showing_errors(self, call: Callable[[], None]) -> Callable[[], None]:
+        def showing() -> None:
+            with self._view.page.errors_shown(), self._lock:
                 call()
 
-        return told
+        return showing
 
     def _change(self, edits: Edits) -> None:
         """Show the result with these corrections, and keep them.

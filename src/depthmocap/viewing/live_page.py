@@ -131,7 +131,7 @@ class LivePage(Stream):
             (self.smoothing, lambda: controls.smooth(str(self.smoothing.value))),
             (self.count, lambda: controls.follow(int(self.count.value))), (self.stop, self._stop),
         ):  # fmt: skip
-            every(handle, lambda call=call: self._told(call))
+            every(handle, lambda call=call: self._show_errors_of(call))
 
     def _add_showing(self, gui: viser.GuiApi) -> None:
         assert self._drawing is not None
@@ -147,8 +147,8 @@ class LivePage(Stream):
     def _add_picture(self, gui: viser.GuiApi, name: str) -> None:
         self._pictures[name] = gui.add_image(np.zeros((2, 2, 3), np.uint8), label=plain(name), visible=False)
 
-    def _told(self, call: Any) -> None:
-        with self.page.told():
+    def _show_errors_of(self, call: Any) -> None:
+        with self.page.errors_shown():
             call()
 
     def _record(self) -> None:

@@ -193,11 +193,11 @@ class TakePage:
         else:
             starts = gap_starts(~np.isnan(self._drawn_confidence))
             later, earlier = starts[starts > now], starts[starts < now]
-            found = later[:1] if kind == "gap ›" else earlier[-1:]
-            if not len(found):
+            nearest = later[:1] if kind == "gap ›" else earlier[-1:]
+            if not len(nearest):
                 self.page.tell("no gap further on" if kind == "gap ›" else "no gap before")
                 return
-            self.player.step(int(found[0]) - now)
+            self.player.step(int(nearest[0]) - now)
         self._show_playing()
 
     def change_result(self, result: StoredResult) -> None:
@@ -260,20 +260,20 @@ class TakePage:
 
     def _draw_people(self, index: int) -> None:
         take, colouring = self.take, self.colours.value
-        for drawings, people, own in (
+        for drawings, people, colour in (
             (self._people, take.people, None), (self._beside, take.beside if self.beside.value else (), BESIDE),
         ):  # fmt: skip
             shown = []
             for i, person in enumerate(people):
-                found = person.at(index) if own or self.chosen in (None, person.number) else None
-                if found is not None and len(shown) < len(drawings) and colouring != "off":
-                    shown.append((i, person, *found))
+                pose = person.at(index) if colour or self.chosen in (None, person.number) else None
+                if pose is not None and len(shown) < len(drawings) and colouring != "off":
+                    shown.append((i, person, *pose))
             for drawing, (i, person, joints, confidence) in zip(drawings, shown, strict=False):
-                flat = own or palette_colour(i)
+                flat = colour or palette_colour(i)
                 colours = np.broadcast_to(np.array(flat, np.uint8), joints.shape)
-                if own is None and colouring == "by confidence":
+                if colour is None and colouring == "by confidence":
                     colours = confidence_colours(confidence)
-                drawing.show(joints, colours, plain(person.label) if self.names.value and own is None else "")
+                drawing.show(joints, colours, plain(person.label) if self.names.value and colour is None else "")
                 trail = person.series(max(index - TRAIL_LENGTH + 1, 0), index + 1)[0] if self.trails.value else ()
                 drawing.show_trails(list(trail), flat)
             for drawing in drawings[len(shown) :]:
@@ -305,8 +305,8 @@ class TakePage:
         take = self.take
         rows = []
         for person in take.people[:MOST_PEOPLE]:
-            found = person.at(index)
-            seen = f"confidence {found[1].mean():.2f}, lowest {found[1].min():.2f}" if found else "not seen"
+            pose = person.at(index)
+            seen = f"confidence {pose[1].mean():.2f}, lowest {pose[1].min():.2f}" if pose else "not seen"
             rows.append(f"{as_html(person.label)}: {seen}")
         if take.has_truth and take.people:
             bin_cm = 100 * float(np.nanmin([_apart(person, take, index) for person in take.people], initial=np.inf))

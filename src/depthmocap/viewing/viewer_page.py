@@ -85,7 +85,7 @@ class Page:
             client.add_notification(plain(text, 290), "", auto_close_seconds=8.0, color=color)
 
     @contextlib.contextmanager
-    def told(self) -> Iterator[None]:
+    def errors_shown(self) -> Iterator[None]:
         """Show an error that the user has caused, in place of raising it."""
         try:
             yield
