@@ -3,7 +3,10 @@
 import subprocess
 import sys
 
+import pytest
+
 from depthmocap.cli import main
+from depthmocap.commands import Command
 
 
 def test_help_lists_the_commands(capsys):
@@ -64,3 +67,22 @@ def test_help_that_nobody_reads_to_its_end_is_no_error():
         process.stdout.close()
         assert process.stderr.read() == b""
         assert process.wait() == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "told"),
+    [
+        (KeyboardInterrupt(), 130, "stopped"),
+        (PermissionError(13, "Permission denied", "rig.json"), 2, "rig.json: Permission denied"),
+        (OSError("no more"), 2, "no more"),
+        (UnicodeEncodeError("ascii", "grün", 2, 3, "ordinal"), 2, "'grün' is no ascii: rename it, or set PYTHONUTF8=1"),
+    ],
+)
+def test_what_ends_a_command_is_one_line(error, status, told, monkeypatch, capsys):
+    def load(command):
+        raise error
+
+    monkeypatch.setattr(Command, "load", load)
+    assert main(["cameras"]) == status
+    (line,) = capsys.readouterr().err.splitlines()
+    assert told in line

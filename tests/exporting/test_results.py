@@ -15,6 +15,7 @@ from depthmocap.exporting import read_bvh, read_csv, read_trc
 from depthmocap.exporting import result_files as files_module
 from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.exporting.result_files import PeopleFiles, PoseFiles
+from depthmocap.exporting.run_result import RunResult
 from depthmocap.exporting.summary import SCHEMA, Summary, Take, read_summary, unsure_lines
 from depthmocap.frames import Pose
 from depthmocap.recordings.pose_table import read_table
@@ -180,3 +181,12 @@ def test_what_is_no_summary(taken: Path, tmp_path: Path, change, message: str) -
 def test_least_confidence_out_of_range(least: float) -> None:
     with pytest.raises(InputError, match="--least-confidence must be from 0 to 1"):
         Take("run", ["somewhere"], "z", FileSettings(least_confidence=least))
+
+
+def test_what_a_run_gives(tmp_path: Path) -> None:
+    write(tmp_path)
+    result = RunResult(tmp_path, read_summary(tmp_path))
+    assert (result.frames, result.gaps, result.problems) == (FRAMES, 0, [])
+    assert [pose.timestamp_ns for pose in result.poses()] == [pose.timestamp_ns for pose in poses(FRAMES)]
+    with pytest.raises(InputError, match="no poses were written"):
+        RunResult(None, result.summary).poses()
