@@ -1,22 +1,16 @@
-"""Plots of a take: a scale whatever is missing, and the least of each column of the whole take."""
+"""Plots of a take: gaps where something is missing, and the least of each column of the whole take."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from depthmocap.viewing.take_plots import binned, drawable
+from depthmocap.viewing.take_plots import binned, with_gaps
 
 NAN = np.nan
 
 
-def test_columns_begin_with_a_number() -> None:
-    missing, known, nothing = np.array([NAN, NAN, 2.0]), np.array([1.0, NAN, 3.0]), np.full(3, NAN)
-    first, second, third = drawable(missing, known, nothing)
-    assert np.array_equal(first, [2.0, NAN, 2.0], equal_nan=True)
-    assert np.array_equal(second, known, equal_nan=True)
-    assert np.array_equal(third, [2.0, NAN, NAN], equal_nan=True)
-    assert np.array_equal(drawable(nothing)[0], [0.0, NAN, NAN], equal_nan=True)
-    assert len(drawable(np.zeros(0))[0]) == 0
+def test_what_is_not_known_is_a_gap() -> None:
+    assert with_gaps(np.array([NAN, 2.0, np.inf]), np.zeros(3)) == [[None, 2.0, None], [0.0, 0.0, 0.0]]
 
 
 def test_the_least_of_every_column() -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 import viser
 import viser.uplot
@@ -41,17 +44,9 @@ def binned(values: Float[ndarray, " t"], bins: Int[ndarray, " t"], count: int) -
     return np.where(np.isinf(lowest), np.nan, lowest)
 
 
-def drawable(*columns: Float[ndarray, " n"]) -> tuple[Float[ndarray, " n"], ...]:
-    """Columns of a plot that begin with a number each: by NaN there the plot would find no scale. That one point, with
-    nothing beside it, is not drawn."""
-    known = [column[np.isfinite(column)][:1] for column in columns]
-    other = np.concatenate([*known, np.zeros(1)])[0]
-    begun = []
-    for column, first in zip(columns, known, strict=True):
-        if len(column) and not np.isfinite(column[0]):
-            column = np.concatenate([first if len(first) else [other], column[1:]])
-        begun.append(column.astype(np.float64))
-    return tuple(begun)
+def with_gaps(*columns: Float[ndarray, " n"]) -> list[list[float | None]]:
+    """Columns of a plot in which what is not known is None: the plot leaves a gap there, and would draw across NaN."""
+    return [[value if math.isfinite(value) else None for value in column.tolist()] for column in columns]
 
 
 class TakePlots:
@@ -130,7 +125,8 @@ class TakePlots:
                 twin = next((each for each in take.beside if each.number == number), take.beside[0])
                 other = twin.series(int(first), int(end))[0][:, column]
             parts.append(other)
-        self._joint.data = (times_s, *drawable(*(part[:, axis] for part in parts for axis in range(3))))
+        data: Any = (times_s, *with_gaps(*(part[:, axis] for part in parts for axis in range(3))))
+        self._joint.data = data
         self._confidence.data = (times_s, np.nan_to_num(confidence).astype(np.float64))
 
     def _show_overview(self, now: int) -> None:
@@ -139,7 +135,8 @@ class TakePlots:
         self._shown_bin = now
         self._overview.data = (self._bin_times_s, self._lowest, self._cursor(now, _TOP))
         if self._error is not None:
-            self._error.data = (self._bin_times_s, *drawable(self._errors_cm), self._cursor(now, self._top_cm))
+            data: Any = (self._bin_times_s, *with_gaps(self._errors_cm), self._cursor(now, self._top_cm))
+            self._error.data = data
 
     def _cursor(self, now: int, top: float) -> Float[ndarray, " n"]:
         """A line upright at a column; elsewhere it is below what is shown."""
