@@ -164,3 +164,16 @@ def test_rates_and_latencies_of_the_last_minute(live: LivePage) -> None:
     assert len(times_s) <= 61 and times_s[-1] == 0 and np.allclose(rates, 30)
     assert np.allclose(latencies_ms, [20.0, 50.0])
     assert plots.words() == "30 sets a second, 20 ms after the exposure"
+
+
+def test_the_end_does_not_wait_for_a_browser_that_stalls() -> None:
+    page = Page("127.0.0.1", 0, "live")
+    with ViewerClient(page):
+        points = np.zeros((200_000, 3), np.float32)
+        cloud = page.server.scene.add_point_cloud("/cloud", points, np.zeros(points.shape, np.uint8))
+        for i in range(20):
+            cloud.points = points + i
+            time.sleep(0.02)
+        start_s = time.monotonic()
+        page.close()
+        assert time.monotonic() - start_s < 4  # and not viser's six

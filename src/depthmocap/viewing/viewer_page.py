@@ -10,6 +10,7 @@ import logging
 import os
 import socket
 import sys
+import threading
 import webbrowser
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -21,6 +22,8 @@ from depthmocap.text import harmless, shortened
 
 #: Largest number of characters of a name on the page.
 LONGEST_LABEL = 60
+#: Seconds that the end waits for browsers.
+_CLOSE_S = 1.5
 
 
 class _Server(viser.ViserServer):
@@ -68,9 +71,12 @@ class Page:
         self.close()
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop serving. A browser that has stalled is not waited for."""
+        # viser waits for each browser to close its side.
+        stopping = threading.Thread(target=self.server.stop, name="page closing", daemon=True)
         with _quiet():
-            self.server.stop()
+            stopping.start()
+            stopping.join(_CLOSE_S)
 
     def open_browser(self) -> bool:
         """Open a browser with the page, unless only browsers in the terminal could; returns whether one was asked."""
