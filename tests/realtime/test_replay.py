@@ -18,6 +18,7 @@ from depthmocap.core.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.exporting.edits import Marker
 from depthmocap.exporting.stored_result import read_result
+from depthmocap.exporting.summary import read_summary, write_summary
 from depthmocap.realtime import live_command
 from depthmocap.realtime.live_command import LiveSettings, run_live
 from depthmocap.realtime.replay import ReplaySettings, replay
@@ -102,6 +103,19 @@ def test_markers_and_corrections(take: tuple[Path, Path], monkeypatch: pytest.Mo
     assert [sample.unix_ns for sample in samples] == [FIRST_NS + i * 40_000_000 for i in range(12)]
     assert np.diff([sample.monotonic_ns for sample in samples]).tolist() == [20_000_000] * 11
     assert markers == [("trial 3", samples[2].monotonic_ns)]
+
+
+def test_a_live_result_is_brought_to_the_times_of_its_recording(
+    take: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording, out = take
+    samples = list[Sample]()
+    monkeypatch.setattr(WebSocketStream, "send", lambda self, sample: samples.append(sample))
+    (out / "pose.csv").write_text((out / "pose.csv").read_text().replace("1700000000", "1600000000"))
+    summary = read_summary(out)
+    write_summary(out, {**summary, "recorded_minus_timestamp_ns": 100_000_000 * 10**9})
+    replay(ReplaySettings(recording, out, ("ws://:0",), speed=4.0), QUIET)
+    assert [sample.unix_ns for sample in samples] == [FIRST_NS + i * 40_000_000 for i in range(12)]
 
 
 def test_what_cannot_be_played_is_one_line(take: tuple[Path, Path], tmp_path: Path) -> None:

@@ -38,6 +38,8 @@ def test_poses_come_until_the_cameras_end(virtual):
     assert capture.reader.rate_hz == pytest.approx(RATE, rel=0.01)
     assert capture.statistics.summary()["frames"] == len(poses)
     assert not capture.problems
+    delay_ns = (capture.recorded_minus_timestamp_ns or 0) - capture.unix_minus_monotonic_ns
+    assert abs(delay_ns) < 20_000_000
 
 
 def test_a_slow_consumer_gets_the_newest_set_and_the_rest_is_dropped(virtual):

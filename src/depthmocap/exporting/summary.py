@@ -83,6 +83,7 @@ class Summary(TypedDict):
     cameras: dict[str, dict[str, Any]]
     cameras_apart_cm: dict[str, float]
     time_offsets_s: dict[str, float]
+    recorded_minus_timestamp_ns: int | None
     error: dict[str, Any] | None
     problems: list[Problem]
 
@@ -218,6 +219,7 @@ def make_summary(take: Take, numbers: Mapping[str, Any], person: int | None = No
         "cameras": {},
         "cameras_apart_cm": {},
         "time_offsets_s": {},
+        "recorded_minus_timestamp_ns": None,
         "error": None,
         "problems": [{"text": text, "times": times} for text, times in problems.items()],
     }
@@ -260,7 +262,11 @@ def check_summary(path: Path, document: Any) -> Summary:
         raise InputError(f"{path} is no summary of run or live of this version: it has no schema; run it again")
     if schema != SCHEMA:
         raise InputError(f"{path} has the schema {schema!r}, and this version reads {SCHEMA}: run it again")
-    document = {"up": "z", "time_offsets_s": {}, "devices": {}, **document}  # which the first summaries do not have
+    document = {
+        # which the first summaries do not have
+        "up": "z", "time_offsets_s": {}, "devices": {}, "recorded_minus_timestamp_ns": None,
+        **document,
+    }  # fmt: skip
     if absent := [key for key in Summary.__annotations__ if key not in document]:
         raise InputError(f"{path} lacks {', '.join(absent[:4])}: it was changed since it was written; run it again")
     return cast(Summary, document)

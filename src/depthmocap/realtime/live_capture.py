@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
 from jaxtyping import Float, UInt16
 from numpy import ndarray
 
@@ -25,6 +26,7 @@ from depthmocap.offline.pipeline import Pipeline, Result, warm_up
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline
 from depthmocap.pose.extrinsics_check import ExtrinsicsCheck
 from depthmocap.realtime.ingest import FrameIngest, frame_set, recorded_frames
+from depthmocap.realtime.mcap_recorder import McapRecorder
 from depthmocap.realtime.status import CameraStatus, RunStatistics, camera_statuses
 from depthmocap.realtime.sync import SyncedSet, SyncSettings
 from depthmocap.realtime.synced_reader import SyncedReader
@@ -35,6 +37,8 @@ from depthmocap.streaming.stream_protocol import Marker, Stream, StreamSetup
 
 #: If making the pipeline takes longer (seconds), a message says so.
 SLOW_S = 2.0
+#: Frames over which the difference to a recording's clock is taken.
+_FIRST_FRAMES = 300
 #: Makes a pipeline for a source of frames or backgrounds, as ``load_pipeline`` does.
 PipelineMaker: TypeAlias = Callable[[FrameSource], Pipeline]
 
@@ -109,7 +113,14 @@ class LiveCapture:
         #: Number of sets without a pose, because they came while the pipeline was prepared.
         self.sets_before_ready = 0
         self.up = rig.up if rig else (sources[0].up if sources else "z")
+        self._recorded_minus: list[int] = []
         self._between_sets: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+
+    @property
+    def recorded_minus_timestamp_ns(self) -> int | None:
+        """What is added to the timestamps of poses for the times at which a recording has their frames: of the file
+        that is recorded meanwhile, and of recordings that are played as cameras; None before the first pose."""
+        return int(np.median(self._recorded_minus)) if self._recorded_minus else None
 
     @property
     def pipeline(self) -> Pipeline | None:
@@ -209,6 +220,11 @@ class LiveCapture:
             result = self._pipeline(frames)
             self._send(result, frames)
             self.reader.problems.update(self._extrinsics_check(result.cloud))
+            if len(self._recorded_minus) < _FIRST_FRAMES:
+                self._recorded_minus += [
+                    McapRecorder.recorded_ns(frame, self.unix_minus_monotonic_ns) - synced.times_ns[name]
+                    for name, frame in synced.frames.items()
+                ]
             arrival_ns = max(frame.arrival_ns for frame in synced.frames.values())
             latency_ms = (time.monotonic_ns() - arrival_ns) * 1e-6
             yield _count_pose(self.statistics, LivePose(result.pose, synced, result, latency_ms))
@@ -266,7 +282,7 @@ class Replay:
     It is used like a :class:`LiveCapture`. The latency is the time that the pipeline takes.
     """
 
-    dropped = sets_before_ready = 0
+    dropped = sets_before_ready = recorded_minus_timestamp_ns = 0
 
     def __init__(
         self,

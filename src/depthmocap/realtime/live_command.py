@@ -45,6 +45,7 @@ from depthmocap.text import joined, offset_lines
 
 if TYPE_CHECKING:
     from depthmocap.viewing.live_page import LivePage
+    from depthmocap.viewing.viewer_page import Page
 
 #: Seconds from one drawing of the dashboard to the next.
 DRAW_S = 0.25
@@ -90,8 +91,11 @@ class LiveSettings(PipelineSettings, FileSettings):
 
 
 @locks_outputs(folder="out")
-def run_live(settings: LiveSettings, console: Console | None = None) -> RunResult:
+def run_live(settings: LiveSettings, console: Console | None = None, served: Page | None = None) -> RunResult:
     """Run until the end, ``seconds`` or Ctrl-C, and write all results.
+
+    Args:
+        served: a page that is served already and empty, for --view.
 
     Raises:
         InputError: when a setting is out of range, a source is not what it says, no camera can be opened, or no set
@@ -101,7 +105,7 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> RunResul
     _check_settings(settings)
     take = Take("live", settings.sources, "z", settings)
     with contextlib.ExitStack() as stack:
-        page = _open_page(settings, stack) if settings.view else None
+        page = _open_page(settings, stack, served) if settings.view else None
         capture = _make_capture(settings, console, () if page is None else (page,))
         files: PoseFiles | None = None
         people_files: PeopleFiles | None = None
@@ -129,7 +133,7 @@ def run_live(settings: LiveSettings, console: Console | None = None) -> RunResul
             if recording is None:
                 raise InputError("--record needs --realtime: played as fast as it goes, a recording is only read")
             recording.begin(settings.record)
-        if page is not None:
+        if page is not None and served is None:
             console.print(f"• open {page.page.url} in a browser")
             if settings.open:
                 page.page.open_browser()
@@ -174,7 +178,7 @@ def _check_any_poses(capture: LiveCapture | Replay) -> None:
     raise InputError(f"no set of frames came: {problems or 'are the cameras running?'}")
 
 
-def _open_page(settings: LiveSettings, stack: contextlib.ExitStack) -> LivePage:
+def _open_page(settings: LiveSettings, stack: contextlib.ExitStack, served: Page | None) -> LivePage:
     """The page of --view, served until the stack ends.
 
     Raises:
@@ -185,7 +189,7 @@ def _open_page(settings: LiveSettings, stack: contextlib.ExitStack) -> LivePage:
         from depthmocap.viewing.viewer_page import Page
     except ModuleNotFoundError:
         raise missing_extra("viser", "view") from None
-    return LivePage(stack.enter_context(Page(settings.host, settings.port, "depthmocap live")))
+    return LivePage(served or stack.enter_context(Page(settings.host, settings.port, "depthmocap live")))
 
 
 def _make_capture(settings: LiveSettings, console: Console, viewers: Sequence[Stream]) -> LiveCapture | Replay:
@@ -281,6 +285,7 @@ def _finish_files(
         "cameras": cameras,
         "frames_by_camera": {name: status["counts"].get("used", 0) for name, status in cameras.items()},
         "time_offsets_s": time_offsets_s(capture.cameras.values()),
+        "recorded_minus_timestamp_ns": capture.recorded_minus_timestamp_ns,
         "cameras_apart_cm": {name: 100 * apart_m for name, apart_m in capture.apart_m().items()},
         "problems": {**capture.problems, **dict.fromkeys(people_files.problems if people_files else (), 1)},
     }

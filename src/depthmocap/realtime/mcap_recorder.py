@@ -25,6 +25,11 @@ class McapRecorder:
         self._adding = threading.Lock()
         self._day_ns = time.time_ns() - time.monotonic_ns()
 
+    @staticmethod
+    def recorded_ns(frame: DepthFrame, day_ns: int) -> int:
+        """When a frame came, as it is recorded; ``day_ns`` added to ``time.monotonic_ns`` gives the time of day."""
+        return frame.timestamp_ns if frame.clock == SHARED_CLOCK else frame.arrival_ns + day_ns
+
     def write(self, frame: DepthFrame) -> None:
         """Add a frame, from any thread.
 
@@ -38,5 +43,5 @@ class McapRecorder:
                 camera = self._camera(frame.camera)
                 if camera is not None and frame.camera not in self._writer.rig.names:
                     self._writer.add_camera(camera)
-        arrival_ns = frame.timestamp_ns if frame.clock == SHARED_CLOCK else frame.arrival_ns + self._day_ns
+        arrival_ns = self.recorded_ns(frame, self._day_ns)
         self._writer.write(frame.camera, frame.timestamp_ns, frame.raw, arrival_ns, frame.clock)

@@ -125,8 +125,7 @@ def replay(settings: ReplaySettings, console: Console | None = None) -> int:
     check_above_0({"--speed": settings.speed})
     recording = open_recording(settings.recording)
     result = None if settings.result is None else read_result(settings.result)
-    if result is not None:
-        _check_times(recording, result)
+    shift_ns = 0 if result is None else _shift_ns(recording, result)
     streams = [open_stream(address) for address in settings.stream or (FOXGLOVE,)]
     shows = [stream for stream in streams if isinstance(stream, FoxgloveStream)]
     if result is None and len(shows) < len(streams):
@@ -141,7 +140,7 @@ def replay(settings: ReplaySettings, console: Console | None = None) -> int:
         with Progress(console=console) as progress:
             task = progress.add_task("playing", total=len(timeline(recording)))
             while True:
-                others = [] if result is None else _events(result, outlets, settings.speed)
+                others = [] if result is None else _events(result, outlets, settings.speed, shift_ns)
                 frames = play(
                     recording, [stream.topics for stream in shows], PlaybackClock(settings.speed),
                     lambda: progress.advance(task), others,
@@ -153,22 +152,28 @@ def replay(settings: ReplaySettings, console: Console | None = None) -> int:
         outlets.close()
 
 
-def _check_times(recording: Recording, result: StoredResult) -> None:
-    """Raise InputError unless poses of the result are within the times of the recording."""
+def _shift_ns(recording: Recording, result: StoredResult) -> int:
+    """What is added to the times of the result for those of the recording: of a live capture, which has the times of
+    this machine's clock, what its summary says.
+
+    Raises:
+        InputError: unless poses of the result are within the times of the recording.
+    """
     stamps = [stamp for stamp, _ in timeline(recording)]
-    tables = [person.table for person in result.people]
-    if not any(((table.stamps_ns >= stamps[0]) & (table.stamps_ns <= stamps[-1])).any() for table in tables):
-        raise InputError(
-            f"none of the times in {result.folder} are within the recording: it is of another one, or was captured live"
-        )
+    live_ns = result.summary["recorded_minus_timestamp_ns"] if result.summary else None
+    for shift_ns in (0, live_ns or 0):
+        times_ns = [person.table.stamps_ns + shift_ns for person in result.people]
+        if any(((each >= stamps[0]) & (each <= stamps[-1])).any() for each in times_ns):
+            return shift_ns
+    raise InputError(f"none of the times in {result.folder} are within the recording: it is of another one")
 
 
-def _events(result: StoredResult, outlets: Outlets, speed: float) -> list[_Event]:
-    """What of a result is due when."""
+def _events(result: StoredResult, outlets: Outlets, speed: float, shift_ns: int) -> list[_Event]:
+    """What of a result is due when, in the recording's times."""
     poses_by_stamp: dict[int, dict[int, Pose]] = {}
     for person in result.people:
         for pose in person.table.poses():
-            poses_by_stamp.setdefault(pose.timestamp_ns, {})[person.number] = pose
+            poses_by_stamp.setdefault(pose.timestamp_ns + shift_ns, {})[person.number] = pose
     stamps = sorted(poses_by_stamp)
     begun: list[int] = []
 
@@ -185,9 +190,8 @@ def _events(result: StoredResult, outlets: Outlets, speed: float) -> list[_Event
         outlets.mark(Marker(text, stamp, due_ns(stamp)))
 
     poses: list[_Event] = [(stamp, lambda stamp=stamp: send(stamp)) for stamp in stamps]
-    return poses + [
-        (marker.timestamp_ns, lambda marker=marker: mark(marker.text, marker.timestamp_ns)) for marker in result.markers
-    ]
+    marked = [(marker.timestamp_ns + shift_ns, marker.text) for marker in result.markers]
+    return poses + [(stamp, lambda stamp=stamp, text=text: mark(text, stamp)) for stamp, text in marked]
 
 
 def _result(stamp: int, poses: dict[int, Pose]) -> Result:
