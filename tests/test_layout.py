@@ -20,7 +20,7 @@ GROUPS = (
     "cameras recordings",
     "segment classify pose smooth",
     "datasets exporting report",
-    "offline calibration streaming viewing realtime",
+    "offline calibration streaming viewing realtime rigging",
     "synth",
     "train",
     "evaluate",

@@ -60,6 +60,13 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "list the depth cameras that are connected",
         ),
         Command(
+            "setup",
+            "depthmocap.rigging.setup_command",
+            "SetupSettings",
+            "setup",
+            "from plugged cameras to a rig and a skeleton, while a person walks about",
+        ),
+        Command(
             "record",
             "depthmocap.realtime.record",
             "RecordSettings",

@@ -15,6 +15,7 @@ from urllib.parse import urlsplit
 
 import pytest
 from live_fakes import Controls
+from rig_states import rig_state
 from samples import sample_of, standing_pose
 
 from depthmocap.geometry import Rig
@@ -125,3 +126,31 @@ def test_a_capture_in_a_browser(browser: Any, recording: Path) -> None:
         ended.set()
         sender.join(5)
     assert asked - {None, ""} == {"127.0.0.1"}
+
+
+def test_a_rig_that_is_set_up_in_a_browser(browser: Any, recording: Path) -> None:
+    from depthmocap.rigging.setup_page import SetupPage
+    from depthmocap.viewing.viewer_page import Page
+
+    frames = open_recording(recording)[0]
+    with Page("127.0.0.1", 0, "setup") as served:
+        shown = SetupPage(served, ("azure:1", "azure:2"))
+        page, asked = browser.new_page(viewport={"width": 1200, "height": 900}), set[str | None]()
+        page.on("request", lambda request: asked.add(urlsplit(request.url).hostname))
+        page.goto(served.url)
+        assert until(lambda: bool(served.server.get_clients()))
+        shown.show(rig_state(frames, 30.0, 8.0, calibration=None, drawn=None))
+        page.get_by_text("No two cameras are placed yet").wait_for(timeout=60_000)
+        shown.show(rig_state(frames, 30.0, 8.0))
+        page.get_by_text("± 30.0 mm, 0.20°: fair").wait_for()
+        page.get_by_role("button", name="Take the rig as it is").click()
+        assert until(shown.taken.is_set)
+        page.get_by_role("tab", name="Cameras").click()
+        page.get_by_text("Names and modes").click()
+        page.get_by_role("button", name="Open them so").click()
+        assert until(lambda: shown.wanted == ("azure-1=azure:1", "azure-2=azure:2"))
+        assert asked - {None, ""} == {"127.0.0.1"}
+        shown.clear()
+        assert page.get_by_text("Names and modes").count() == 0 or until(
+            lambda: page.get_by_text("Names and modes").count() == 0
+        )

@@ -134,21 +134,26 @@ def find_rig(recording: Recording, settings: CalibrateSettings, console: Console
         observations = observe(recording, classifier, segmenter, settings.rate_hz, lambda: progress.advance(task))
     rng = np.random.default_rng(settings.seed)
     with console.status("placing the cameras"):
-        return _solve(recording, observations, segmenter.problems, rng)
+        return solve_rig(str(recording.path), observations, [*segmenter.problems, *recording.problems], rng)
 
 
-def _solve(
-    recording: Recording, observations: list[Observation], problems: list[str], rng: np.random.Generator
-) -> Calibration:
-    names = recording.rig.names
+def solve_rig(what: str, observations: list[Observation], problems: list[str], rng: np.random.Generator) -> Calibration:
+    """Estimate the extrinsics from what cameras saw of a person.
+
+    Args:
+        what: where it was seen, for messages.
+        problems: what makes good masks unlikely, and what is wrong with the frames.
+
+    Raises:
+        InputError: when nobody was seen, or no two cameras see the same person often enough.
+    """
+    names = tuple(observation.camera.name for observation in observations)
     if not any(len(observation.track.times_s) > 1 for observation in observations):
         hint = joined(problems) or "one person must walk about in view; try --segment none where there is no room"
-        raise InputError(
-            f"{recording.path}: no person was found in any of {sum(s.frames for s in observations)} frames: {hint}"
-        )
+        raise InputError(f"{what}: no person was found in any of {sum(s.frames for s in observations)} frames: {hint}")
     placement = place_cameras([observation.track for observation in observations], rng)
     if len(placement.cameras) < 2:
-        raise InputError(f"{recording.path}: {_no_pair_message(names, observations, placement)}")
+        raise InputError(f"{what}: {_no_pair_message(names, observations, placement)}")
     placed = [observations[camera] for camera in placement.cameras]
     placed_names = tuple(observation.camera.name for observation in placed)
     refined = refine(placement, placed, rng)
@@ -156,7 +161,7 @@ def _solve(
     upright = find_upright(refined.poses, placement.skeletons, empty_views)
     rig = _rig(placed, refined, upright, placement)
     pairs = judge_pairs(placed_names, placement, refined)
-    warnings = [*find_warnings(placed_names, placement, pairs), *problems, *recording.problems]
+    warnings = [*find_warnings(placed_names, placement, pairs), *problems]
     if not refined.surfaces_used:
         warnings.append("no surface was seen well by two cameras, or it did not fit the skeletons, which decide alone")
     hips = mean_joints(refined.poses, placement.skeletons)[:, JOINT_INDEX["Hip"]]
@@ -230,13 +235,7 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
         if path is not None:
             path.unlink(missing_ok=True)
     save_rig(calibration.rig, settings.out)
-    headline = _headline(calibration, len(recording.rig.cameras))
-    notes = [
-        _FLOORS[calibration.floor],
-        *(f"Camera {name!r} is not in the rig: {reason}." for name, reason in calibration.unplaced.items()),
-        *(f"Noticed: {warning}." for warning in calibration.warnings),
-        *(f"{line}."[0].upper() + f"{line}."[1:] for line in offset_lines(time_offsets_s(calibration.rig.cameras))),
-    ]
+    headline, *notes = calibration_lines(calibration, len(recording.rig.cameras))
     before = _in_z_up_world(
         {name: recording.rig[name].world_from_camera for name in calibration.rig.names}, recording.up
     )
@@ -245,11 +244,22 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
     write_page(settings.page, headline, notes, calibration.pairs, pictures)
     if settings.json is not None:
         write_json(settings.json, _as_json(calibration))
-    _print_result(calibration, [headline, *notes], console)
+    print_calibration(calibration, [headline, *notes], console)
     console.print(
         f"{settings.out} has the cameras, {settings.page} the pictures; run, live and record take it by --rig."
     )
     return calibration
+
+
+def calibration_lines(calibration: Calibration, cameras: int) -> list[str]:
+    """The verdict, and what was noticed, a line each; ``cameras``: how many there are, placed or not."""
+    return [
+        _headline(calibration, cameras),
+        _FLOORS[calibration.floor],
+        *(f"Camera {name!r} is not in the rig: {reason}." for name, reason in calibration.unplaced.items()),
+        *(f"Noticed: {warning}." for warning in calibration.warnings),
+        *(f"{line}."[0].upper() + f"{line}."[1:] for line in offset_lines(time_offsets_s(calibration.rig.cameras))),
+    ]
 
 
 def _headline(calibration: Calibration, cameras: int) -> str:
@@ -294,7 +304,8 @@ def _as_json(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def _print_result(calibration: Calibration, lines: list[str], console: Console) -> None:
+def print_calibration(calibration: Calibration, lines: list[str], console: Console) -> None:
+    """Print the table of pairs, and the lines."""
     numbers = pair_table(calibration.pairs)
     table = Table(box=None, padding=(0, 1, 0, 0))
     for heading in numbers.header:

@@ -54,6 +54,52 @@ class Observation:
         return extract_surface(self.camera, self.empty_m, max(round(self.camera.width / _POINTS_ACROSS), 1))
 
 
+class CameraObserver:
+    """Gathers what one camera sees of the person, frame by frame.
+
+    Attributes:
+        camera: at the origin.
+        segmenter: finds the person; another may take its place when more is known of the empty scene.
+        frames: number of frames that were looked at.
+        times_s: of the frames that show the person.
+    """
+
+    def __init__(self, camera: DepthCamera, classifier: Classifier, segmenter: PersonSegmenter) -> None:
+        self.camera = dataclasses.replace(camera, world_from_camera=np.eye(4))
+        self.segmenter, self._classifier = segmenter, classifier
+        self.frames = 0
+        self.times_s: list[float] = []
+        self._joints: list[Float[ndarray, "18 4"]] = []
+        self._person: dict[int, tuple[float, Surface]] = {}
+
+    def add(self, depth_m: Float[ndarray, "h w"], time_s: float) -> Bool[ndarray, "h w"] | None:
+        """Look at a frame (metres); gives the person's mask, None if too little of them is seen."""
+        self.frames += 1
+        view = View(self.camera, depth_m)
+        if (mask := _person_mask(view, self.segmenter)) is None:
+            return None
+        (prediction,) = self._classifier.label_views([view], [mask])
+        self.times_s.append(time_s)
+        self._joints.append(prediction.joints)
+        moment = int(time_s // MOMENT_S)
+        if moment not in self._person:
+            surface = extract_surface(self.camera, depth_m, _PERSON_STRIDE, mask)
+            self._person[moment] = time_s, surface.subsampled(_POINTS)
+        return mask
+
+    def skip(self) -> None:
+        """Count a frame that cannot be read."""
+        self.frames += 1
+
+    def observation(self) -> Observation:
+        """Everything so far."""
+        joints_and_errors = np.stack(self._joints) if self._joints else np.empty((0, 18, 4))
+        track = JointTrack(np.array(self.times_s), joints_and_errors[..., :3], joints_and_errors[..., 3])
+        unknown = np.zeros((self.camera.height, self.camera.width), np.float32)
+        empty_m = self.segmenter.backgrounds_m.get(self.camera.name, unknown)
+        return Observation(self.camera, track, dict(self._person), empty_m, self.frames)
+
+
 def observe(
     recording: Recording,
     classifier: Classifier,
@@ -69,25 +115,16 @@ def observe(
     """
     observations = []
     for camera in recording.rig.cameras:
-        camera_at_origin = dataclasses.replace(camera, world_from_camera=np.eye(4))
-        times_s, joints, person = [], [], {}
-        timestamps = subsample_timestamps(recording.stamps(camera.name), rate_hz)
-        for timestamp_ns in timestamps:
-            view = _view(recording, camera_at_origin, timestamp_ns)
-            mask = None if view is None else _person_mask(view, segmenter)
-            if view is not None and mask is not None:
-                (prediction,) = classifier.label_views([view], [mask])
-                times_s.append(timestamp_ns / 1e9 + camera.time_offset_s)
-                joints.append(prediction.joints)
-                moment = int(times_s[-1] // MOMENT_S)
-                if moment not in person:
-                    surface = extract_surface(camera_at_origin, view.depth_m, _PERSON_STRIDE, mask)
-                    person[moment] = times_s[-1], surface.subsampled(_POINTS)
+        observer = CameraObserver(camera, classifier, segmenter)
+        for timestamp_ns in subsample_timestamps(recording.stamps(camera.name), rate_hz):
+            try:
+                depth_m = camera.to_metres(recording.raw(camera.name, timestamp_ns))
+            except InputError:
+                observer.skip()
+            else:
+                observer.add(depth_m, timestamp_ns / 1e9 + camera.time_offset_s)
             on_frame()
-        joints_and_errors = np.stack(joints) if joints else np.empty((0, 18, 4))
-        track = JointTrack(np.array(times_s), joints_and_errors[..., :3], joints_and_errors[..., 3])
-        empty_m = segmenter.backgrounds_m.get(camera.name, np.zeros((camera.height, camera.width), np.float32))
-        observations.append(Observation(camera_at_origin, track, person, empty_m, len(timestamps)))
+        observations.append(observer.observation())
     return observations
 
 
@@ -105,11 +142,3 @@ def subsample_timestamps(timestamps: list[int], rate_hz: float) -> list[int]:
     period_ns = float(np.median(np.diff(timestamps)))
     # Rounding keeps a rate just above rate_hz, instead of halving it.
     return timestamps[:: max(round(1e9 / rate_hz / period_ns), 1)]
-
-
-def _view(recording: Recording, camera: DepthCamera, timestamp_ns: int) -> View | None:
-    """A frame; None if it cannot be read."""
-    try:
-        return View(camera, camera.to_metres(recording.raw(camera.name, timestamp_ns)))
-    except InputError:
-        return None

@@ -118,6 +118,33 @@ def make_sources(
     return sources
 
 
+@dataclasses.dataclass(frozen=True)
+class DeviceText:
+    """The parts of the text for one device: the name that its camera gets, what opens it, and its mode."""
+
+    name: str
+    device: str
+    mode: str
+
+    def renamed(self, name: str, mode: str) -> str:
+        """The text for the device under another name and in another mode."""
+        return f"{name}={self.device}{'?' if mode else ''}{mode}"
+
+
+def device_text(spec: str) -> DeviceText | None:
+    """The parts of a text; None if it is not of a device, whose name and mode can be chosen.
+
+    Raises:
+        InputError: when the text after the ``?`` is not a mode.
+    """
+    parsed = _Spec.parse(spec)
+    if parsed is None or parsed.kind == SYNTHETIC:
+        return None
+    device = f"{parsed.kind}:{parsed.address}" if parsed.address else parsed.kind
+    mode = "" if parsed.request == ModeRequest() else spec.rpartition("?")[2]
+    return DeviceText(parsed.name or _default_name(parsed.kind, parsed.address), device, mode)
+
+
 def _default_name(back_end: str, address: str) -> str:
     """A camera's name if the user gives none."""
     stem = Path(address).stem if Path(address).suffix.lower() in _FILES else address

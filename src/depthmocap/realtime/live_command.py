@@ -129,9 +129,7 @@ def run_live(settings: LiveSettings, console: Console | None = None, served: Pag
         if recording is not None and isinstance(capture, LiveCapture):
             stack.enter_context(recording)
             stack.callback(capture.stop)  # before a file is closed, into which cameras write
-        if settings.record is not None:
-            if recording is None:
-                raise InputError("--record needs --realtime: played as fast as it goes, a recording is only read")
+        if settings.record is not None and recording is not None:
             recording.begin(settings.record)
         if page is not None and served is None:
             console.print(f"• open {page.page.url} in a browser")
@@ -208,6 +206,8 @@ def _make_capture(settings: LiveSettings, console: Console, viewers: Sequence[St
             if settings.stream or viewers:
                 option = "--stream" if settings.stream else "--view"
                 raise InputError(f"{option} needs --realtime: played as fast as it goes, a recording is not live")
+            if settings.record is not None:
+                raise InputError("--record needs --realtime: played as fast as it goes, a recording is only read")
             replay = Replay(recording, sync, make_pipeline)
         for line in replay.pipeline.devices.lines():
             tell(line)
