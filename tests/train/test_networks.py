@@ -46,15 +46,6 @@ def test_the_fast_network_is_small() -> None:
     assert 1e6 < sum(parameter.numel() for parameter in FastNet().parameters()) < 3e6
 
 
-def seasoned(network: FastNet) -> FastNet:
-    """With norms that do something."""
-    with torch.no_grad():
-        for name, tensor in network.state_dict().items():
-            if name.endswith(("running_mean", "running_var", ".1.weight", ".1.bias")):
-                tensor.uniform_(0.3, 1.2)
-    return network.eval()
-
-
 def test_pictures_of_a_batch_do_not_mix() -> None:
     network = small_network()
     x = random_windows(3)
