@@ -332,6 +332,14 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "train",
         ),
         Command(
+            "evaluate skeleton",
+            "depthmocap.evaluate.skeleton_protocol",
+            "SkeletonEvaluation",
+            "evaluate_skeleton",
+            "rotations, lengths and feet of the skeleton of files and avatars",
+            "train",
+        ),
+        Command(
             "evaluate people",
             "depthmocap.evaluate.people_protocol",
             "PeopleEvaluation",

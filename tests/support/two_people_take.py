@@ -25,7 +25,8 @@ SHORT, LONG = range(10, 13), range(15, 26)
 
 
 def walking(frames: int, turn_rad: float = 1.0) -> np.ndarray:
-    """Joints (t, 18, 3), Z up, of a skeleton of constant bones that turns, bends and swings its limbs."""
+    """Joints (t, 18, 3), Z up, of a skeleton of constant bones that turns, and bends and swings its limbs as people
+    can."""
     from scipy.spatial.transform import Rotation
 
     time = np.linspace(0, 2 * np.pi, frames)
@@ -33,6 +34,10 @@ def walking(frames: int, turn_rad: float = 1.0) -> np.ndarray:
     joints = np.zeros((frames, len(JOINTS), 3))
     for number, (joint, parent) in enumerate(PARENTS.items()):
         swing = Rotation.from_euler("xyz", 0.5 * np.sin(time[:, None] + [number, 2 * number, 3 * number]))
+        if joint[1:] in ("Elbow", "Knee"):  # hinges: to the front and to the back
+            bend = 0.6 + 0.5 * np.sin(time + number)
+            swing = Rotation.from_euler("x" if joint[1:] == "Knee" else "y", bend[:, None])
+            swing = swing.inv() if joint == "LElbow" else swing
         if parent is None:
             world[joint] = Rotation.from_euler("Y", turn_rad * time[:, None])
             joints[:, JOINT_INDEX[joint]] = np.stack([np.sin(time), 0.95 + 0.05 * np.cos(time), time / 4], -1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
 from depthmocap.evaluate.estimated_sequences import EstimateStore, SequenceEstimates, estimate_sequence
 from depthmocap.evaluate.evaluation_report import JsonOutput
-from depthmocap.evaluate.moving_people import FPS, clip_motions, moving_frames, prior_motions
+from depthmocap.evaluate.moving_people import FPS, PostureSequence, clip_motions, moving_frames, prior_motions
 from depthmocap.evaluate.temporal_metrics import TemporalMetrics, temporal_metrics
 from depthmocap.frames import Pose
 from depthmocap.pose.estimators import load_estimator
@@ -158,7 +158,7 @@ def make_estimates(
     settings: MotionEvaluation, console: Console, out_of_step_ms: float = 0.0
 ) -> list[SequenceEstimates]:
     """The sequences' estimates, read or made."""
-    fixed = {k: v for k, v in plain_settings(settings).items() if k not in _FREE_SETTINGS}
+    fixed = estimate_settings(settings)
     sensors = tuple(find_sensor(name) for name in settings.sensors)
     folder = settings.out / f"out_of_step_{out_of_step_ms:g}_ms" if out_of_step_ms else settings.out
     store = EstimateStore(folder, fixed)
@@ -166,11 +166,7 @@ def make_estimates(
     complete = [estimates for estimates in sequences if estimates is not None]
     if len(complete) == len(sequences):
         return complete
-    rng = np.random.default_rng([settings.seed, 0])
-    if settings.postures is None:
-        motions = prior_motions(settings.sequences, settings.seconds, rng)
-    else:
-        motions = clip_motions(settings.postures, settings.split, settings.sequences, settings.seconds, rng)
+    motions = posture_sequences(settings)
     with networks_on(settings.device):
         classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)
     complete = []
@@ -178,12 +174,35 @@ def make_estimates(
         for index, motion in enumerate(progress.track(motions, settings.sequences, description="estimating")):
             estimates = sequences[index]
             if estimates is None:
-                rng = np.random.default_rng([settings.seed, 1, index])
-                frames = moving_frames(motion, settings.views, sensors, rng, out_of_step_ms / 1e3)
+                frames = moving_frames(
+                    motion, settings.views, sensors, sequence_rng(settings, index), out_of_step_ms / 1e3
+                )
                 estimates = estimate_sequence(motion.name, frames, classifier, estimator)
                 store.save(index, estimates)
             complete.append(estimates)
     return complete
+
+
+def estimate_settings(settings: MotionEvaluation) -> dict[str, Any]:
+    """Those that estimates depend on."""
+    return {k: v for k, v in plain_settings(settings).items() if k not in _FREE_SETTINGS}
+
+
+def posture_sequences(settings: MotionEvaluation) -> Iterator[PostureSequence]:
+    """The motions that estimates are made of, in order.
+
+    Raises:
+        InputError: clips that cannot be read, or too few of them.
+    """
+    rng = np.random.default_rng([settings.seed, 0])
+    if settings.postures is None:
+        return prior_motions(settings.sequences, settings.seconds, rng)
+    return clip_motions(settings.postures, settings.split, settings.sequences, settings.seconds, rng)
+
+
+def sequence_rng(settings: MotionEvaluation, index: int) -> np.random.Generator:
+    """What the person, the cameras and the noise of a sequence are drawn from."""
+    return np.random.default_rng([settings.seed, 1, index])
 
 
 def apply_filter(filter_: PoseFilter | None, poses: Sequence[Pose]) -> list[Pose]:

@@ -156,6 +156,11 @@ def pelvis_trajectory(body: Body, postures: Float[ndarray, "t 20 3"]) -> Float[n
     return trajectory - (trajectory.max(0) + trajectory.min(0)) / 2
 
 
+def moving_person(rng: np.random.Generator) -> DressedBody:
+    """The person of :func:`moving_frames` with a generator in the same state."""
+    return random_dressed_body(rng, "open")
+
+
 def moving_frames(
     motion: PostureSequence,
     views: int,
@@ -170,7 +175,7 @@ def moving_frames(
     synchronisation. Person, cameras and random numbers do not depend on the offsets.
     """
     step_rng = rng.spawn(1)[0]
-    dressed = random_dressed_body(rng, "open")
+    dressed = moving_person(rng)
     trajectory = np.pad(pelvis_trajectory(dressed.body, motion.postures), ((0, 0), (0, 1)))
     first_pose = _standing(dressed, motion.postures[0], np.zeros(3)).body
     presets = [sensors[int(rng.integers(len(sensors)))] for _ in range(views)]

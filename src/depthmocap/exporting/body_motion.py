@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from depthmocap.body.skeleton import JOINT_INDEX, PARENTS
-from depthmocap.exporting.bone_rotations import CHILDREN, bone_rotations, joint_positions, rest_offsets
+from depthmocap.body.skeleton import JOINT_INDEX
+from depthmocap.exporting.bone_rotations import CHILDREN, joint_positions, rest_offsets, world_rotations
+from depthmocap.exporting.constant_bones import with_constant_bones
+from depthmocap.exporting.foot_contacts import hold_feet, standing_feet
 from depthmocap.exporting.gap_filling import fill_gaps
+from depthmocap.exporting.kinematic_skeleton import solve_rotations
 from depthmocap.exporting.timeline import Timeline
+
+#: What is likely of rotations is smoothed over time by so much (s, standard deviation).
+_SMOOTH_S = 0.06
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -27,6 +32,7 @@ class BodyMotion:
         root: position of the root, Hip.
         held: joints whose bones keep their last rotation, because nothing was seen of them.
         filled: joints whose position was interpolated.
+        standing: whether the right and the left foot stand, and are held where they do.
     """
 
     times_s: Float[ndarray, " t"]
@@ -37,14 +43,11 @@ class BodyMotion:
     root: Float[ndarray, "t 3"]
     held: Bool[ndarray, "t 18"]
     filled: Bool[ndarray, "t 18"]
+    standing: Bool[ndarray, "t 2"]
 
     def world_rotations(self) -> Float[ndarray, "t 18 3 3"]:
         """Each bone's rotation in the world; a bone starts at the joint of its name."""
-        world = np.zeros_like(self.local)
-        for joint, parent in PARENTS.items():
-            i = JOINT_INDEX[joint]
-            world[:, i] = self.local[:, i] if parent is None else world[:, JOINT_INDEX[parent]] @ self.local[:, i]
-        return world
+        return world_rotations(self.local)
 
     @property
     def rotation_held(self) -> Bool[ndarray, "t 18"]:
@@ -60,16 +63,22 @@ class BodyMotion:
         return joint_positions(self.local, self.root, self.offsets)
 
 
-def solve_body(line: Timeline, fill_s: float = 0.0) -> BodyMotion:
-    """The motion of a person's joints.
+def solve_body(line: Timeline, fill_s: float = 0.0, offsets: Float[ndarray, "18 3"] | None = None) -> BodyMotion:
+    """The motion of a person's joints, with joints, rotations and lengths that agree.
 
-    Lengths are medians over the recording (:func:`rest_offsets`), rotations those of :func:`bone_rotations`, so that
-    joints of the skeleton differ from those of the poses by as much as the estimated lengths vary.
+    Lengths are medians over the recording (:func:`rest_offsets`) unless they are given. The joints are moved as little
+    as possible to have them (:func:`with_constant_bones`), feet that stand are held where they do (:func:`hold_feet`),
+    and the bones turn as :func:`solve_rotations` says, which looks at what comes before and after.
 
     Args:
         fill_s: gaps of a joint up to so long are filled first (:func:`fill_gaps`).
+        offsets: of each joint from its parent in the T pose (m), of a person who is known.
     """
-    offsets = rest_offsets(line.joints_y_up)
+    if offsets is None:
+        offsets = rest_offsets(line.joints_y_up)
     joints, filled = fill_gaps(line.times_s, line.joints_y_up, fill_s)
-    local, root, held = bone_rotations(joints, offsets)
-    return BodyMotion(line.times_s, line.frame_s, joints, offsets, local, root, held, filled)
+    steady = with_constant_bones(joints, offsets)
+    standing = standing_feet(steady, line.frame_s)
+    steady = hold_feet(steady, standing, line.frame_s)
+    local, root, held = solve_rotations(steady, offsets, line.times_s, _SMOOTH_S)
+    return BodyMotion(line.times_s, line.frame_s, joints, offsets, local, root, held, filled, standing)

@@ -58,6 +58,7 @@ def _depth(joint: str) -> int:
 
 #: Joints by their distance from the root in the tree.
 _FROM_ROOT = sorted(range(len(JOINTS)), key=lambda i: _depth(JOINTS[i]))
+_ROOT = JOINT_INDEX[ROOT]
 #: A vector shorter than this (m) has no direction.
 _SHORTEST_M = 1e-6
 #: Least ratio of the singular values for a fit: children nearly on one line do not determine the twist about it.
@@ -68,7 +69,7 @@ def _index(names: Sequence[str]) -> list[int]:
     return [JOINT_INDEX[name] for name in names]
 
 
-def _bone_vectors(joints: Float[ndarray, "t 18 3"]) -> Float[ndarray, "t 18 3"]:
+def bone_vectors(joints: Float[ndarray, "t 18 3"]) -> Float[ndarray, "t 18 3"]:
     """From each joint's parent to the joint, NaN where either is unobserved; NaN for the root."""
     vectors = np.full_like(joints, np.nan)
     parents, children = zip(*BONES, strict=True)
@@ -76,7 +77,7 @@ def _bone_vectors(joints: Float[ndarray, "t 18 3"]) -> Float[ndarray, "t 18 3"]:
     return vectors
 
 
-def _fit_rotation(rest: Float[ndarray, "k 3"], observed: Float[ndarray, "t k 3"]) -> Float[ndarray, "t 3 3"]:
+def fit_rotation(rest: Float[ndarray, "k 3"], observed: Float[ndarray, "t k 3"]) -> Float[ndarray, "t 3 3"]:
     """Rotations that fit the rest vectors best to the observed ones; NaN where these do not determine them."""
     covariance = np.swapaxes(np.nan_to_num(observed), 1, 2) @ rest
     U, singular, Vt = np.linalg.svd(covariance)
@@ -95,7 +96,7 @@ def _shortest_rotation(rest: Float[ndarray, " 3"], observed: Float[ndarray, "t 3
     return rotation
 
 
-def _forward_filled(
+def forward_filled(
     values: Float[ndarray, "t ..."], default: Float[ndarray, " ..."] | None = None
 ) -> Float[ndarray, "t ..."]:
     """Values with NaN replaced by the last known value; before the first by ``default`` or, if None, by the first."""
@@ -110,7 +111,7 @@ def rest_offsets(joints_y_up: Float[ndarray, "t 18 3"]) -> Float[ndarray, "18 3"
 
     Lengths are medians over the recording. A bone that was never observed has the length of its mirror image.
     """
-    vectors = _bone_vectors(joints_y_up)
+    vectors = bone_vectors(joints_y_up)
     lengths_by_frame = np.linalg.norm(vectors, axis=-1)
     lengths = np.full(len(JOINTS), np.nan)
     for joint in REST:
@@ -128,7 +129,7 @@ def rest_offsets(joints_y_up: Float[ndarray, "t 18 3"]) -> Float[ndarray, "18 3"
         index = _index(children)
         if len(index) < 2:
             continue
-        rotation = _fit_rotation(offsets[index], vectors[:, index])
+        rotation = fit_rotation(offsets[index], vectors[:, index])
         rest_vectors = vectors[:, index] @ rotation  # row vectors: R^T v
         rest_vectors = rest_vectors[~np.isnan(rest_vectors).any((1, 2))]
         if len(rest_vectors):
@@ -148,7 +149,7 @@ def bone_rotations(
     moves with the body; before its first observation it is that of the rest skeleton. An unobserved root follows the
     nearest observed joint. Without any joint it holds its last position, and before the first one it has the first.
     """
-    vectors = _bone_vectors(joints_y_up)
+    vectors = bone_vectors(joints_y_up)
     unobserved = np.asarray(np.isnan(joints_y_up).any(-1))
     held = unobserved.copy()
     local = np.zeros((len(joints_y_up), len(JOINTS), 3, 3))
@@ -160,16 +161,40 @@ def bone_rotations(
         if children := _index(CHILDREN[joint]):
             in_parent = vectors[:, children] @ world_from_parent
             if len(children) > 1:
-                rotation = _fit_rotation(offsets[children], in_parent)
+                rotation = fit_rotation(offsets[children], in_parent)
             else:
                 rotation = _shortest_rotation(offsets[children[0]], in_parent[:, 0])
             held[:, children] |= (unobserved[:, i] | np.isnan(rotation[:, 0, 0]))[:, None]
-            local[:, i] = _forward_filled(rotation, np.eye(3))
+            local[:, i] = forward_filled(rotation, np.eye(3))
         world[:, i] = world_from_parent @ local[:, i]
-    # The root's position computed from each joint, in the order of their distance in the tree: the root itself first.
+    return local, root_positions(joints_y_up, local, offsets), held
+
+
+def root_positions(
+    joints_y_up: Float[ndarray, "t 18 3"], local: Float[ndarray, "t 18 3 3"], offsets: Float[ndarray, "18 3"]
+) -> Float[ndarray, "t 3"]:
+    """Where the root is (m), from the known joint that is nearest to it in the tree: the root itself first. Without any
+    joint it holds its last position, and before the first one it has the first."""
+    if not np.isnan(joints_y_up[:, _ROOT]).any():
+        return joints_y_up[:, _ROOT].copy()
+    observed = ~np.isnan(joints_y_up).any(-1)
     roots = (joints_y_up - joint_positions(local, np.zeros((len(local), 3)), offsets))[:, _FROM_ROOT]
-    nearest = np.argmax(~unobserved[:, _FROM_ROOT], axis=1)
-    return local, _forward_filled(roots[np.arange(len(roots)), nearest]), held
+    nearest = np.argmax(observed[:, _FROM_ROOT], axis=1)
+    return forward_filled(roots[np.arange(len(roots)), nearest])
+
+
+def world_rotations(local: Float[ndarray, "t 18 3 3"]) -> Float[ndarray, "t 18 3 3"]:
+    """Each bone's rotation in the world; a bone starts at the joint of its name."""
+    world = np.zeros_like(local)
+    for joint, parent in PARENTS.items():
+        i = JOINT_INDEX[joint]
+        world[:, i] = local[:, i] if parent is None else world[:, JOINT_INDEX[parent]] @ local[:, i]
+    return world
+
+
+def rest_positions(offsets: Float[ndarray, "18 3"]) -> Float[ndarray, "18 3"]:
+    """The joints (m) of the rest skeleton, its root at the origin."""
+    return joint_positions(np.tile(np.eye(3), (1, len(JOINTS), 1, 1)), np.zeros((1, 3)), offsets)[0]
 
 
 def joint_positions(

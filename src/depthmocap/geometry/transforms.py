@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]
+
 
 def transform_points(b_from_a: Float[ndarray, "4 4"], points_a: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3"]:
     """Points of frame ``a`` in frame ``b``, in the dtype of the points."""
@@ -56,6 +58,11 @@ def look_at(
     world_from_camera[:3, 2] = forward
     world_from_camera[:3, 3] = eye_world
     return world_from_camera
+
+
+def cross(a: Float[ndarray, "*n 3"], b: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3"]:
+    """The vector products of few vectors, several times as fast as NumPy's."""
+    return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
 
 
 def rotation_between(a: Float[ndarray, "*n 3"], b: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3 3"]:

@@ -1,20 +1,29 @@
-"""Bone rotations of one person while they come, by the same method as in BVH files (``exporting.bone_rotations``)."""
+"""The skeleton of one person while poses come: that of files (``exporting.body_motion``), without a future."""
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from depthmocap.exporting.bone_rotations import bone_rotations, joint_positions, rest_offsets
+from depthmocap.exporting.bone_rotations import bone_rotations, joint_positions, rest_offsets, world_rotations
+from depthmocap.exporting.constant_bones import with_constant_bones
+from depthmocap.exporting.foot_contacts import RunningFeet
+from depthmocap.exporting.kinematic_skeleton import pointed_rotations
+from depthmocap.exporting.learnt_rotations import LOOKED_BACK_S
+from depthmocap.exporting.rotation_guess import likely_now
 from depthmocap.exporting.timeline import LEAST_CONFIDENCE, Y_UP_FROM_Z_UP
 from depthmocap.frames import Pose
 from depthmocap.geometry import z_up_from
 
-#: The rest skeleton is learnt from the first so many poses, at doubling distances.
-LEARNT_POSES = 512
+#: The rest skeleton is learnt from so many poses, at doubling distances, and for so long of somebody seen (s); from
+#: then on it stays.
+LEARNT_POSES, LEARNT_S = 512, 5.0
+#: Longer than this between poses nobody was seen (s).
+_LONGEST_S = 0.2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -31,32 +40,73 @@ class PosedSkeleton:
     root: Float[ndarray, "3"]
     offsets: Float[ndarray, "18 3"]
 
+    def world_rotations(self) -> Float[ndarray, "18 3 3"]:
+        """Each bone's rotation in the world."""
+        return world_rotations(self.local[None])[0]
+
+    def positions(self) -> Float[ndarray, "18 3"]:
+        """The joints."""
+        return joint_positions(self.local[None], self.root[None], self.offsets)[0]
+
 
 class RunningSkeleton:
     """Takes the poses of one person and gives rotations; a bone that is not seen holds its last rotation."""
 
-    def __init__(self, up: str) -> None:
-        """``up``: the up axis of the poses' world."""
+    def __init__(self, up: str, offsets: Float[ndarray, "18 3"] | None = None) -> None:
+        """``up``: the up axis of the poses' world; ``offsets``: the rest skeleton (m) of a person who is known."""
         self._y_up_from_world = Y_UP_FROM_Z_UP @ z_up_from(up)
         self._learnt: list[Float[ndarray, "18 3"]] = []
-        self._count, self._posed = 0, PosedSkeleton(np.zeros((18, 3, 3)), np.zeros(3), np.zeros((18, 3)))
+        self._count, self._seen_s, self._last_ns, self._given = 0, 0.0, 0, offsets is not None
+        self._posed: PosedSkeleton | None = None
+        self._offsets = np.zeros((18, 3)) if offsets is None else offsets
+        self._feet = RunningFeet()
+        self._past: collections.deque[tuple[int, Float[ndarray, "18 3"]]] = collections.deque(maxlen=16)
+
+    @property
+    def learning(self) -> bool:
+        """Whether lengths may still change."""
+        return not self._given and self._count < LEARNT_POSES and self._seen_s < LEARNT_S
 
     def __call__(self, pose: Pose) -> PosedSkeleton | None:
         """The posed skeleton; None while nothing was ever seen."""
         sure = np.isfinite(pose.joints).all(1) & (pose.confidence >= LEAST_CONFIDENCE)
         joints = np.where(sure[:, None], pose.joints @ self._y_up_from_world.T, np.nan)
-        if not self._learnt and not sure.any():
+        if self._posed is None and not sure.any():
             return None
-        offsets = self._posed.offsets
-        if self._count < LEARNT_POSES and sure.any():
-            self._count += 1
-            self._learnt.append(joints)
-            if self._count & (self._count - 1) == 0:  # a power of two
-                offsets = rest_offsets(np.stack(self._learnt))
-        frames = [joints]
-        if self._count > 1 or not sure.any():  # what was there before, for what is not seen now
-            before = self._posed
-            frames.insert(0, joint_positions(before.local[None], before.root[None], before.offsets)[0])
-        local, root, _ = bone_rotations(np.stack(frames), offsets)
-        self._posed = PosedSkeleton(local[-1], root[-1], offsets)
+        step_s = (pose.timestamp_ns - self._last_ns) * 1e-9 if self._posed is not None else 0.0
+        self._last_ns = pose.timestamp_ns
+        if sure.any():
+            self._learn(joints, step_s)
+        steady = with_constant_bones(joints[None], self._offsets)
+        steady = self._feet(steady, step_s)
+        # What was there before, for what is not seen now.
+        before = self._posed
+        whole = steady
+        if not sure.all():
+            frames = steady if before is None else np.concatenate([before.positions()[None], steady])
+            whole = joint_positions(*bone_rotations(frames, self._offsets)[:2], self._offsets)[-1:]
+        likely = likely_now(self._window(pose.timestamp_ns, whole), self._offsets)
+        if before is not None and not sure.all():
+            steady = np.concatenate([before.positions()[None], steady])
+            likely = np.concatenate([before.world_rotations()[None], likely])
+        local, root, _ = pointed_rotations(steady, self._offsets, likely)
+        self._posed = PosedSkeleton(local[-1], root[-1], self._offsets)
         return self._posed
+
+    def _learn(self, joints: Float[ndarray, "18 3"], step_s: float) -> None:
+        if not self.learning:
+            return
+        self._count += 1
+        self._seen_s += min(max(step_s, 0.0), _LONGEST_S)
+        self._learnt.append(joints)
+        if self._count & (self._count - 1) == 0 or not self.learning:  # a power of two, or the last
+            self._offsets = rest_offsets(np.stack(self._learnt))
+
+    def _window(self, now_ns: int, whole: Float[ndarray, "1 18 3"]) -> Float[ndarray, "w 1 18 3"]:
+        """The joints now and at the times before that the network looks at, of the poses nearest to these."""
+        if self._past and now_ns <= self._past[-1][0]:
+            self._past.clear()
+        self._past.append((now_ns, whole[0]))
+        ages_s = np.array([now_ns - then_ns for then_ns, _ in self._past]) * 1e-9
+        nearest = [int(np.abs(ages_s - back_s).argmin()) for back_s in LOOKED_BACK_S]
+        return np.stack([self._past[i][1][None] for i in nearest])

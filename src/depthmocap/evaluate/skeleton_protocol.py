@@ -1,0 +1,199 @@
+"""``depthmocap evaluate skeleton``: rotations, lengths and feet of the skeleton that files and avatars get."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from rich.console import Console
+from rich.table import Table
+
+from depthmocap.core.console import Terminal
+from depthmocap.core.locks import locks_outputs
+from depthmocap.core.network_devices import NetworkSettings
+from depthmocap.core.settings import plain_settings
+from depthmocap.errors import InputError
+from depthmocap.evaluate.evaluation_report import JsonOutput
+from depthmocap.evaluate.motion_protocol import (
+    MotionEvaluation,
+    apply_filter,
+    make_estimates,
+    posture_sequences,
+    sequence_rng,
+)
+from depthmocap.evaluate.moving_people import FPS, moving_person
+from depthmocap.evaluate.skeleton_metrics import SkeletonTrack, skeleton_metrics
+from depthmocap.exporting.body_motion import solve_body
+from depthmocap.exporting.timeline import LEAST_CONFIDENCE, Timeline, y_up_from
+from depthmocap.frames import Pose
+from depthmocap.smooth.filters import AUTO, FilterName, load_filter
+from depthmocap.streaming.running_skeleton import RunningSkeleton
+from depthmocap.synth.motion.true_rotations import true_motion
+from depthmocap.synth.sample import Split
+
+_SHARED = ("out", "postures", "split", "sequences", "seconds", "views", "sensors", "seed", "weights", "estimator")
+#: Rows of the table: key, words, digits, factor.
+_ROWS = (
+    ("limb_swing_deg", "limbs, swing °", 1, 1),
+    ("limb_twist_deg", "limbs, twist °", 1, 1),
+    ("upper_arm_twist_deg", "– upper arms", 1, 1),
+    ("forearm_twist_deg", "– forearms", 1, 1),
+    ("thigh_twist_deg", "– thighs", 1, 1),
+    ("shin_twist_deg", "– shins", 1, 1),
+    ("trunk_head_deg", "trunk and head °", 1, 1),
+    ("pelvis_deg", "– pelvis", 1, 1),
+    ("spine_deg", "– spine", 1, 1),
+    ("neck_deg", "– neck", 1, 1),
+    ("head_deg", "– head", 1, 1),
+    ("hands_deg", "hands °", 1, 1),
+    ("feet_deg", "feet °", 1, 1),
+    ("joint_error_cm", "joints cm", 2, 1),
+    ("free_joint_error_cm", "joints before, cm", 2, 1),
+    ("foot_skate_mm", "skate of standing feet, mm a frame", 2, 1),
+    ("free_foot_skate_mm", "skate before", 2, 1),
+    ("held_in_swing", "feet held in swing %", 1, 100),
+    ("length_variation_mm", "bones' lengths, range mm", 1, 1),
+    ("knee_rms_deg", "knee flexion, RMS °", 1, 1),
+    ("elbow_rms_deg", "elbow flexion, RMS °", 1, 1),
+    ("us_per_frame", "CPU µs a frame", 0, 1),
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class SkeletonEvaluation(NetworkSettings, JsonOutput):
+    """The skeleton of constant bones on generated sequences, as files have it and as it is made live: of the true
+    joints, and of joints that ``evaluate motion`` estimates, behind the filter.
+
+    Attributes:
+        out: folder of the estimates, which are made once; that of ``evaluate motion`` with the same settings serves.
+        postures: folder of motion capture clips; without it motion is from posture to posture of the packaged prior.
+        split: of the clips.
+        sequences: so many, each of another clip and another person.
+        seconds: of motion a sequence, before it comes to rest.
+        views: cameras.
+        sensors: each camera is one of these.
+        smooth: the filter of the estimated joints.
+        weights: a classifier.onnx of your own.
+        estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
+    """
+
+    out: Path
+    postures: Path | None = None
+    split: Split = "test"
+    sequences: int = 8
+    seconds: float = 3.0
+    views: int = 3
+    sensors: tuple[str, ...] = ("kinect2", "azure-nfov-binned")
+    seed: int = 0
+    smooth: FilterName = AUTO
+    weights: Path | None = None
+    estimator: str = "votes"
+
+    def __post_init__(self) -> None:
+        self.motion()
+
+    def motion(self) -> MotionEvaluation:
+        """The evaluation whose estimates are taken.
+
+        Raises:
+            InputError: for settings that it does not take.
+        """
+        shared = {name: getattr(self, name) for name in _SHARED}
+        return MotionEvaluation(**shared, json=self.json, device=self.device)
+
+
+@locks_outputs(folder="out", files=("json",))
+def evaluate_skeleton(settings: SkeletonEvaluation, console: Console | None = None) -> dict[str, Any]:
+    """Make or read the estimates and measure the skeletons; returns the numbers by where joints are from, of
+    all sequences together and, as ``sequences``, of each.
+
+    Raises:
+        InputError: clips, weights or sensors that cannot be read, or estimates in ``out`` of other settings.
+    """
+    console = console or Terminal(stderr=True)
+    motion = settings.motion()
+    sequences = make_estimates(motion, console)
+    y_up = y_up_from("z")
+    truths = []
+    for index, (sequence, postures) in enumerate(zip(sequences, posture_sequences(motion), strict=True)):
+        if len(postures.postures) != len(sequence.truth):
+            raise InputError(f"{settings.out} holds estimates of other motions than {postures.name}: delete it")
+        dressed = moving_person(sequence_rng(motion, index))
+        rotations = true_motion(dressed.body, postures.postures).rotations
+        truths.append(SkeletonTrack(sequence.truth @ y_up.T, rotations))
+    stamps = [sequence.timestamps_ns for sequence in sequences]
+    exact = [
+        [Pose(int(ns), joints, np.ones(len(joints))) for ns, joints in zip(times, sequence.truth, strict=True)]
+        for times, sequence in zip(stamps, sequences, strict=True)
+    ]
+    filter_ = load_filter(settings.smooth)
+    estimated = []
+    for sequence in sequences:
+        estimated.append(apply_filter(filter_, sequence.poses(settings.views)))
+        filter_.reset()
+    numbers: dict[str, Any] = {
+        "settings": plain_settings(settings),
+        "sequences": [sequence.name for sequence in sequences],
+        "frames": sum(len(sequence.truth) for sequence in sequences),
+    }
+    views = f"{settings.views} view{'s' * (settings.views > 1)}"
+    for name, poses in (("true joints", exact), (views, estimated)):
+        for way, solve in (("files", _offline), ("live", _live)):
+            start = time.process_time()
+            found = [solve(stream) for stream in poses]
+            spent_s = time.process_time() - start
+            before = [
+                SkeletonTrack(_joints(stream), track.rotations) for stream, track in zip(poses, found, strict=True)
+            ]
+            free = skeleton_metrics(before, truths, 1 / FPS)
+            row = skeleton_metrics(found, truths, 1 / FPS)
+            row |= {f"free_{key}": free[key] for key in ("joint_error_cm", "foot_skate_mm", "knee_rms_deg")}
+            row["us_per_frame"] = 1e6 * spent_s / numbers["frames"]
+            each = [skeleton_metrics([f], [t], 1 / FPS) for f, t in zip(found, truths, strict=True)]
+            numbers[f"{name}, {way}"] = row | {"sequences": each}
+    console.print(_table(numbers))
+    settings.write_numbers(numbers)
+    return numbers
+
+
+def _joints(poses: Sequence[Pose]) -> Float[ndarray, "t 18 3"]:
+    """Y up; those that are too unsure are NaN."""
+    joints = np.stack([pose.joints for pose in poses]).astype(np.float64)
+    joints[np.stack([pose.confidence for pose in poses]) < LEAST_CONFIDENCE] = np.nan
+    return joints @ y_up_from("z").T
+
+
+def _offline(poses: Sequence[Pose]) -> SkeletonTrack:
+    motion = solve_body(Timeline(np.arange(len(poses)) / FPS, _joints(poses), 1 / FPS))
+    return SkeletonTrack(motion.positions(), motion.world_rotations())
+
+
+def _live(poses: Sequence[Pose]) -> SkeletonTrack:
+    skeleton = RunningSkeleton("z")
+    joints, rotations = [], []
+    for pose in poses:
+        posed = skeleton(pose)
+        if posed is None:
+            joints.append(np.full((18, 3), np.nan))
+            rotations.append(np.tile(np.eye(3), (18, 1, 1)))
+        else:
+            joints.append(posed.positions())
+            rotations.append(posed.world_rotations())
+    return SkeletonTrack(np.stack(joints), np.stack(rotations))
+
+
+def _table(numbers: dict[str, Any]) -> Table:
+    names = [name for name, row in numbers.items() if isinstance(row, dict) and "limb_swing_deg" in row]
+    table = Table(title=f"{numbers['frames']} frames", box=None, padding=(0, 1, 0, 0))
+    table.add_column("")
+    for name in names:
+        table.add_column(name, justify="right")
+    for key, words, digits, factor in _ROWS:
+        table.add_row(words, *(f"{factor * numbers[name][key]:.{digits}f}" for name in names))
+    return table

@@ -1,0 +1,67 @@
+"""Joints moved as little as possible until all bones have their lengths, and branching joints their shape.
+
+The joints x of a frame minimise, from their estimates y,
+
+    Σᵢ |xᵢ − yᵢ|²   subject to |x_a − x_b| = length   for every bone and every pair of joints of one branch,
+
+where a branch is a joint with the several joints that hang from it, which turn as one. Each Newton step solves this for
+fixed directions D: with the incidence matrix B of the pairs, the tensions λ from (B Bᵀ ∘ D Dᵀ + τ I) λ = stretch give
+x −= Bᵀ (λ D). The damping τ keeps flat branches, whose distances depend on each other, from exploding.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+
+from depthmocap.body.skeleton import BONES, JOINT_INDEX, JOINTS
+from depthmocap.exporting.bone_rotations import CHILDREN, rest_positions
+
+#: Pairs of joints of constant distance: bones, and the children of one joint.
+_PAIRS = np.array(
+    [(JOINT_INDEX[a], JOINT_INDEX[b]) for a, b in BONES]
+    + [
+        (JOINT_INDEX[a], JOINT_INDEX[b])
+        for children in CHILDREN.values()
+        for a, b in itertools.combinations(children, 2)
+    ]
+)
+_INCIDENCE = np.zeros((len(_PAIRS), len(JOINTS)))
+_INCIDENCE[np.arange(len(_PAIRS)), _PAIRS[:, 0]], _INCIDENCE[np.arange(len(_PAIRS)), _PAIRS[:, 1]] = -1, 1
+_COUPLING = _INCIDENCE @ _INCIDENCE.T
+_DAMPING = 0.02
+_PASSES = 4
+#: A distance estimated shorter than this share of its length is left as it is: its direction is unreliable.
+_SHORTEST = 0.4
+#: Frames that are solved at once, which bounds memory.
+_CHUNK = 4096
+
+
+def with_constant_bones(joints: Float[ndarray, "t 18 3"], offsets: Float[ndarray, "18 3"]) -> Float[ndarray, "t 18 3"]:
+    """The joints with the lengths and branches of a rest skeleton; NaN stays NaN, and binds nothing."""
+    rest = rest_positions(offsets)
+    lengths = np.linalg.norm(rest[_PAIRS[:, 1]] - rest[_PAIRS[:, 0]], axis=-1)
+    parts = [_projected(joints[i : i + _CHUNK], lengths) for i in range(0, len(joints), _CHUNK)]
+    return np.concatenate(parts) if parts else joints
+
+
+def _projected(joints: Float[ndarray, "t 18 3"], lengths: Float[ndarray, " p"]) -> Float[ndarray, "t 18 3"]:
+    known = np.asarray(np.isfinite(joints).all(-1))
+    moved = np.where(known[..., None], joints, 0.0)
+    between = moved[:, _PAIRS[:, 1]] - moved[:, _PAIRS[:, 0]]
+    bound = known[:, _PAIRS].all(-1) & (np.linalg.norm(between, axis=-1) > _SHORTEST * lengths)
+    # An unbound pair has an equation of its own, and no tension.
+    coupling = np.where(bound[:, :, None] & bound[:, None, :], _COUPLING, 0.0) + _DAMPING * np.eye(len(_PAIRS))
+    for _ in range(_PASSES):
+        between = moved[:, _PAIRS[:, 1]] - moved[:, _PAIRS[:, 0]]
+        length = np.linalg.norm(between, axis=-1)
+        direction = between / np.maximum(length, 1e-9)[..., None]
+        cosines = direction @ np.swapaxes(direction, -1, -2)
+        cosines[:, np.arange(len(_PAIRS)), np.arange(len(_PAIRS))] = 1.0
+        stretch = np.where(bound, length - lengths, 0.0)
+        tension = np.linalg.solve(coupling * cosines, stretch[..., None])
+        moved = moved - _INCIDENCE.T @ (tension * direction)
+    return np.where(known[..., None], moved, np.nan)

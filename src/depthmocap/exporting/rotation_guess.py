@@ -1,0 +1,89 @@
+"""What rotations of bones are likely where positions leave them open: by the learnt network, and by hinges."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.ndimage import gaussian_filter1d
+
+from depthmocap.body.skeleton import JOINT_INDEX
+from depthmocap.exporting.learnt_rotations import LOOKED_BACK_S, RotationNetwork, nearest_rotations
+from depthmocap.geometry.transforms import cross, rotation_between
+
+#: Of the limbs that bend about a hinge: the joints that their bones start at, and the last one's end.
+_UPPER, _LOWER, _END = (
+    np.array([JOINT_INDEX[side + name] for side in "RL" for name in names])
+    for names in (("Shoulder", "Hip"), ("Elbow", "Knee"), ("Hand", "Foot"))
+)
+#: Their directions and their hinges' axes in the T pose.
+_ALONG = np.array([(-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
+_HINGE = np.array([(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)])
+_REST = np.stack([_ALONG, _HINGE, cross(_ALONG, _HINGE)], -1)
+#: A hinge bent less than the first tells nothing of its axis, more than the second all (radians).
+_BENT_RAD = np.deg2rad([8.0, 30.0])
+#: The same where it seems to bend backwards: so far it may be the joints' error.
+_BACKWARDS_RAD = np.deg2rad([35.0, 60.0])
+
+
+def likely_rotations(
+    joints: Float[ndarray, "t 18 3"],
+    times_s: Float[ndarray, " t"],
+    offsets: Float[ndarray, "18 3"],
+    smooth_s: float = 0.0,
+) -> Float[ndarray, "t 18 3 3"]:
+    """Rotations in the world, away from the T pose.
+
+    Args:
+        joints: of the skeleton, none missing, Y up.
+        times_s: of the frames, in order.
+        offsets: of the rest skeleton.
+        smooth_s: standard deviation of a smoothing over time in both directions (s).
+    """
+    window = np.stack([joints, *(_at(joints, times_s, times_s - back_s) for back_s in LOOKED_BACK_S[1:])])
+    return likely_now(window, offsets, smooth_s / float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0)
+
+
+def likely_now(
+    window: Float[ndarray, "w t 18 3"], offsets: Float[ndarray, "18 3"], smooth_frames: float = 0.0
+) -> Float[ndarray, "t 18 3 3"]:
+    """As :func:`likely_rotations`, of joints now and at ``LOOKED_BACK_S``."""
+    rotations = RotationNetwork.load()(window, float(np.linalg.norm(offsets, axis=-1).sum()))
+    if smooth_frames > 0:
+        rotations = nearest_rotations(gaussian_filter1d(rotations, smooth_frames, axis=0, mode="nearest"))
+    return with_hinges(rotations, window[0])
+
+
+def with_hinges(guess: Float[ndarray, "t 18 3 3"], joints: Float[ndarray, "t 18 3"]) -> Float[ndarray, "t 18 3 3"]:
+    """Rotations whose limbs are turned about themselves as their hinges are: elbows and knees that are bent tell it,
+    and of straight ones the guess does."""
+    guess = guess.copy()
+    upper, lower = _unit(joints[:, _LOWER] - joints[:, _UPPER]), _unit(joints[:, _END] - joints[:, _LOWER])
+    seen = cross(upper, lower)
+    sine = np.linalg.norm(seen, axis=-1, keepdims=True)
+    bend = np.arctan2(sine, (upper * lower).sum(-1, keepdims=True))
+    # The guess, pointed along the limb, tells the axis of a straight one.
+    turn = rotation_between((guess[:, _UPPER] @ _ALONG[:, :, None])[..., 0], upper)
+    before = ((turn @ guess[:, _UPPER]) @ _HINGE[:, :, None])[..., 0]
+    forwards = (seen * before).sum(-1, keepdims=True) >= 0
+    least, most = (np.where(forwards, a, b) for a, b in zip(_BENT_RAD, _BACKWARDS_RAD, strict=True))
+    trust = np.clip((bend - least) / (most - least), 0, 1)
+    axis = trust * seen / np.maximum(sine, 1e-9) + (1 - trust) * before
+    for bones, along in ((_UPPER, upper), (_LOWER, lower)):
+        across = _unit(axis - (axis * along).sum(-1, keepdims=True) * along)
+        guess[:, bones] = np.stack([along, across, cross(along, across)], -1) @ np.swapaxes(_REST, -1, -2)
+    return guess
+
+
+def _unit(vectors: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3"]:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
+
+
+def _at(
+    joints: Float[ndarray, "t 18 3"], times_s: Float[ndarray, " t"], wanted_s: Float[ndarray, " t"]
+) -> Float[ndarray, "t 18 3"]:
+    """The joints at times, on a line between frames; before the first frame as in it."""
+    after = np.clip(np.searchsorted(times_s, wanted_s - 1e-6), 0, len(times_s) - 1)
+    before = np.maximum(after - 1, 0)
+    share = np.clip((wanted_s - times_s[before]) / np.maximum(times_s[after] - times_s[before], 1e-9), 0, 1)
+    return joints[before] + share[:, None, None] * (joints[after] - joints[before])
