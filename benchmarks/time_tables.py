@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import math
+import statistics
 from typing import Any
 
 from measurements import Measurement, Scale
@@ -22,7 +24,13 @@ def measurements(clips: str, scale: Scale) -> dict[str, Measurement]:
         "evaluate", "motion", "--out", "{folder}", "--postures", clips, "--sequences", str(scale.sequences), "--seed",
         "1", "--out-of-step-ms", "16",
     )  # fmt: skip
-    return {"motion": Measurement((*words, "--seconds", "1") if scale.quick else words)}
+    # The skeletons are of the same estimates.
+    skeleton = (
+        "evaluate", "skeleton", "--out", "{out}/motion", "--postures", clips, "--sequences", str(scale.sequences),
+        "--seed", "1",
+    )  # fmt: skip
+    quick = ("--seconds", "1") if scale.quick else ()
+    return {"motion": Measurement((*words, *quick)), "skeleton": Measurement((*skeleton, *quick))}
 
 
 def filters(numbers: dict[str, Any], views: int) -> list[str]:
@@ -47,7 +55,44 @@ def filters(numbers: dict[str, Any], views: int) -> list[str]:
     return lines
 
 
+#: Rows of the table of skeletons: key of the numbers, words, digits, factor.
+SKELETON_ROWS = (
+    ("limb_swing_deg", "limbs: direction, °", 1, 1),
+    ("limb_twist_deg", "limbs: twist, °", 1, 1),
+    ("pelvis_deg", "pelvis, °", 1, 1),
+    ("spine_deg", "spine, °", 1, 1),
+    ("neck_deg", "neck, °", 1, 1),
+    ("head_deg", "head, °", 1, 1),
+    ("trunk_head_deg", "trunk and head together, °", 1, 1),
+    ("hands_deg", "hands, °", 1, 1),
+    ("feet_deg", "feet, °", 1, 1),
+    ("joint_error_cm", "joints, cm", 2, 1),
+    ("free_joint_error_cm", "joints before, cm", 2, 1),
+    ("foot_skate_mm", "skate of standing feet, mm a frame", 2, 1),
+    ("free_foot_skate_mm", "skate before, mm a frame", 2, 1),
+    ("held_in_swing", "feet held in swing, %", 1, 100),
+    ("length_variation_mm", "range of bones' lengths, mm", 1, 1),
+    ("knee_rms_deg", "knee flexion, RMS °", 1, 1),
+    ("elbow_rms_deg", "elbow flexion, RMS °", 1, 1),
+)
+
+
+def skeletons(numbers: dict[str, Any]) -> list[str]:
+    """Of true and estimated joints, as files have them and as they are made live."""
+    numbers = numbers["skeleton"]
+    columns = [name for name, row in numbers.items() if isinstance(row, dict) and "limb_swing_deg" in row]
+    lines = [f"| | {' | '.join(columns)} | {columns[2]}, median of sequences |", "|---" * (len(columns) + 2) + "|"]
+    for key, words, digits, factor in SKELETON_ROWS:
+        values = [numbers[name][key] for name in columns]
+        each = [row.get(key, math.nan) for row in numbers[columns[2]]["sequences"]]
+        median = statistics.median(each) if not any(math.isnan(value) for value in each) else math.nan
+        cells = ["–" if math.isnan(value) else f"{factor * value:.{digits}f}" for value in (*values, median)]
+        lines.append(f"| {words} | {' | '.join(cells)} |")
+    return lines
+
+
 TABLES = {
     "time_3_views": functools.partial(filters, views=3),
     "time_1_view": functools.partial(filters, views=1),
+    "time_skeleton": skeletons,
 }

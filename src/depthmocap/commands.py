@@ -210,6 +210,14 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "train",
         ),
         Command(
+            "train rotations",
+            "depthmocap.train.train_rotations",
+            "RotationTraining",
+            "train_rotations",
+            "train the network that tells bones' rotations from joints",
+            "train",
+        ),
+        Command(
             "train pose",
             "depthmocap.train.train_pose",
             "PoseTraining",

@@ -10,6 +10,7 @@ import bench_tables
 import people_tables
 import pytest
 import results
+import time_tables
 import tyro
 from measurements import ROOT, Measurement, Scale
 
@@ -55,7 +56,10 @@ def _motion() -> dict[str, Any]:
     )  # fmt: skip
     names = ("none", *(f"{name}, {bones} bones" for name in FILTERS for bones in BONES_CHOICES))
     rows = {name: dict.fromkeys(fields, 2.345) for name in names}
-    return {"motion": {"views 3": rows, "views 1": rows}}
+    skeleton = dict.fromkeys([key for key, *_ in time_tables.SKELETON_ROWS], 2.345)
+    columns = [f"{joints}, {way}" for joints in ("true joints", "3 views") for way in ("files", "live")]
+    skeletons = {"frames": 738, **{name: {**skeleton, "sequences": [skeleton]} for name in columns}}
+    return {"motion": {"views 3": rows, "views 1": rows}, "skeleton": skeletons}
 
 
 def _calibration() -> dict[str, Any]:

@@ -99,7 +99,7 @@ def test_limits_of_people_are_kept() -> None:
     ])[None]  # fmt: skip
     assert beyond_limits(bones, beyond)[0].tolist() == [True, True, True, False]
     kept = within_limits(bones, beyond)
-    assert not beyond_limits(bones, 0.999999 * kept).any() and np.isnan(kept[0, 3]).all()
+    assert not beyond_limits(bones, kept).any() and np.isnan(kept[0, 3]).all()
     angles = Rotation.from_matrix(kept[0, :3]).magnitude()
     np.testing.assert_allclose(np.rad2deg(angles), [60, 15, 110], atol=1e-3)
     joints, _ = posed(RKnee=Rotation.from_euler("x", -40, degrees=True))
@@ -125,13 +125,14 @@ def test_feet_that_stand_are_held_and_others_are_not() -> None:
     stands = standing_feet(steady, FRAME_S)
     assert stands[:, 1].all() and stands[: swing[0] - 2, 0].all() and not stands[swing[2:-2], 0].any()
     held = hold_feet(steady, stands, FRAME_S)
-    steps = np.linalg.norm(np.diff(held[:, FEET], axis=0), axis=-1)
+    steps, before = (np.linalg.norm(np.diff(each[:, FEET], axis=0), axis=-1) for each in (held, steady))
     both = stands[1:] & stands[:-1]
-    assert steps[both].max() < 1e-6 and steps[swing[3:-3], 0].min() > 0.01
+    assert steps[both].mean() < 0.3 * before[both].mean() and steps[swing[3:-3], 0].min() > 0.01
     np.testing.assert_allclose(lengths(held), lengths(steady), atol=1e-6)
+    assert np.linalg.norm(held - steady, axis=-1).max() < 0.015
     motion = solve_body(timeline_of(joints))
     np.testing.assert_array_equal(motion.standing, stands)
-    assert np.linalg.norm(np.diff(motion.positions()[:, FEET], axis=0), axis=-1)[both].max() < 5e-4
+    np.testing.assert_allclose(motion.positions()[:, FEET], held[:, FEET], atol=1e-3)
 
 
 def test_a_foot_that_is_not_seen_does_not_stand() -> None:
@@ -150,7 +151,7 @@ def test_live_feet_stand_and_lengths_stay(monkeypatch: pytest.MonkeyPatch) -> No
         found.append(skeleton(Pose(round(i * FRAME_S * 1e9), each, np.ones(len(JOINTS)))))
     positions = np.stack([one.positions() for one in found if one is not None])
     steps = 1e3 * np.linalg.norm(np.diff(positions[:, FEET[1]], axis=0), axis=-1)
-    assert steps[10:].mean() < 1.5 < 1e3 * np.linalg.norm(np.diff(joints[:, FEET[1]], axis=0), axis=-1).mean()
+    assert steps[10:].mean() < 1.8 < 1e3 * np.linalg.norm(np.diff(joints[:, FEET[1]], axis=0), axis=-1).mean()
     settled = round(1 / FRAME_S) + 2
     assert not skeleton.learning and np.ptp(lengths(positions[settled:]), axis=0).max() < 1e-9
     assert np.linalg.norm(positions[30, FEET[0]] - joints[30, FEET[0]]) < 0.05

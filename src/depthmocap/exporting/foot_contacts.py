@@ -19,11 +19,13 @@ from depthmocap.geometry import rotation_between
 
 LEGS = tuple(tuple(JOINT_INDEX[side + name] for name in ("Hip", "Knee", "Foot")) for side in "RL")
 #: A foot is caught at this share of the speed below which it stands, and let go at this multiple of it.
-_CATCH, _LEAVE = 0.8, 1.6
+_CATCH, _LEAVE = 0.8, 1.0
 #: The place of a standing foot follows its ankle within so long (s), but no faster than this.
 _FOLLOW_S, _CREEP_MPS = 0.5, 0.03
 #: Less is no shift (m).
 _LEAST_SHIFT_M = 1e-5
+#: How far a knee is moved from the line between hip and ankle (m).
+_KNEE_M = 0.003
 #: A knee that is nearer to the line from hip to ankle tells no plane (m).
 _STRAIGHT_M = 1e-4
 
@@ -40,10 +42,10 @@ class ContactSettings:
         blend_s: into a contact and out of it the ankle is led over so long.
     """
 
-    slow_mps: float = 0.14
+    slow_mps: float = 0.08
     smooth_s: float = 0.05
     least_s: float = 0.12
-    away_m: float = 0.05
+    away_m: float = 0.03
     blend_s: float = 0.13
 
 
@@ -169,8 +171,12 @@ class RunningFeet:
 def reach_ankles(
     joints: Float[ndarray, "t 18 3"], leg: tuple[int, ...], target: Float[ndarray, "t 3"]
 ) -> Float[ndarray, "t 18 3"]:
-    """A leg's knee and ankle moved so that the ankle is at its target, or as near as the leg reaches: the hip stays,
-    and the knee in its plane. Legs with an unknown joint stay as they are."""
+    """A leg's knee and ankle moved so that the ankle is at its target: the hip stays, and the knee in its plane.
+
+    A straight leg would throw its knee about to be a little shorter. The distance from hip to ankle is therefore
+    changed only so far that the knee moves by up to ``_KNEE_M`` from the line between them. Legs with an unknown joint
+    stay as they are.
+    """
     hip, knee, ankle = (joints[:, i] for i in leg)
     known = np.isfinite(hip + knee + ankle + target).all(-1, keepdims=True)
     thigh, shin, before, way = (
@@ -179,18 +185,27 @@ def reach_ankles(
     a, b = (np.linalg.norm(each, axis=-1, keepdims=True) for each in (thigh, shin))
     length = np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
     along = way / length
-    length = np.clip(length, np.abs(a - b) + 1e-6, (a + b) * (1 - 1e-6))
     # The way from the hip to the ankle takes the knee along as it turns.
     turn = rotation_between(before, along)
     front = (turn @ thigh[..., None])[..., 0]
     front = front - (front * along).sum(-1, keepdims=True) * along
     size = np.linalg.norm(front, axis=-1, keepdims=True)
+    shortest, longest = (
+        sum(np.sqrt(np.maximum(bone**2 - far**2, 1e-12)) for bone in (a, b))
+        for far in (np.minimum(size + _KNEE_M, 0.9 * np.minimum(a, b)), np.maximum(size - _KNEE_M, 0.0))
+    )
+    bent = (thigh * _unit(before)).sum(-1, keepdims=True) < 0  # a heel drawn up behind the hip
+    length = np.where(bent, np.clip(length, np.abs(a - b) + 1e-6, a + b - 1e-6), np.clip(length, shortest, longest))
     front = np.where(size > _STRAIGHT_M, front / np.maximum(size, 1e-9), _across(along))
     cos = np.clip((a**2 + length**2 - b**2) / np.maximum(2 * a * length, 1e-9), -1, 1)
     result = joints.copy()
     result[:, leg[1]] = np.where(known, hip + a * (cos * along + np.sqrt(1 - cos**2) * front), knee)
     result[:, leg[2]] = np.where(known, hip + length * along, ankle)
     return result
+
+
+def _unit(vectors: Float[ndarray, "t 3"]) -> Float[ndarray, "t 3"]:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
 
 
 def _across(along: Float[ndarray, "t 3"]) -> Float[ndarray, "t 3"]:

@@ -29,6 +29,8 @@ _RANGES = {
 _BENDS = {"Elbow": (0.0, 0.0, 1.0), "Knee": (0.0, 0.0, -1.0)}
 #: How far a hinge bends the other way (radians).
 _BACKWARDS_RAD = np.deg2rad(15.0)
+#: Rounding errors (radians).
+_SLACK = 1e-6
 #: More is no hinge that bends backwards, but one whose bone is turned about itself.
 _TURNED_RAD = np.deg2rad(90.0)
 
@@ -50,7 +52,7 @@ def beyond_limits(bones: Int[ndarray, " k"], local: Float[ndarray, "t k 3 3"]) -
     """Which rotations of bones, by the numbers of the joints that they start at, in their parents' frames, are out of
     people's range; those that are unknown (NaN) are not."""
     twist, swing, bend = _angles(bones, local)
-    return (np.abs(twist) > _TWIST[bones]) | (swing > _SWING[bones]) | _backwards(bend)
+    return (np.abs(twist) > _TWIST[bones] + _SLACK) | (swing > _SWING[bones] + _SLACK) | _backwards(bend)
 
 
 def within_limits(bones: Int[ndarray, " k"], local: Float[ndarray, "t k 3 3"]) -> Float[ndarray, "t k 3 3"]:
@@ -84,4 +86,4 @@ def _angles(bones: Int[ndarray, " k"], local: Float[ndarray, "t k 3 3"]) -> tupl
 
 
 def _backwards(bend: Float[ndarray, "*n"]) -> Bool[ndarray, "*n"]:
-    return np.asarray((bend < -_BACKWARDS_RAD) & (bend > -_TURNED_RAD))
+    return np.asarray((bend < -_BACKWARDS_RAD - _SLACK) & (bend > -_TURNED_RAD))
