@@ -90,6 +90,7 @@ def pointed_rotations(
         world[:, bone] = fit_rotation(offsets[children], vectors[:, children])
         held[:, children] |= (unobserved[:, bone] | np.isnan(world[:, bone, 0, 0]))[:, None]
     world[:, _ENDS] = np.where(held[:, _ENDS, None, None], np.nan, world[:, _ENDS])
+    seen = ~np.isnan(world[..., 0, 0])
     world[:, _ROOT] = forward_filled(world[:, _ROOT], np.eye(3))
     local = np.swapaxes(world[:, _PARENT], -1, -2) @ world
     local[:, _ROOT] = world[:, _ROOT]
@@ -97,7 +98,9 @@ def pointed_rotations(
         return local, root_positions(joints, local, offsets), held
     for bones in _LEVELS:
         parents = world[:, _PARENT[bones]]
-        turned = within_limits(bones, np.swapaxes(parents, -1, -2) @ world[:, bones])
+        turned = np.swapaxes(parents, -1, -2) @ world[:, bones]
+        # A parent that nobody sees tells no range.
+        turned = np.where(seen[:, _PARENT[bones], None, None], within_limits(bones, turned), turned)
         if np.isnan(turned).any():
             turned = np.stack([forward_filled(turned[:, i], np.eye(3)) for i in range(len(bones))], 1)
         local[:, bones] = turned
