@@ -177,7 +177,7 @@ def root_positions(
     joint it holds its last position, and before the first one it has the first."""
     if not np.isnan(joints_y_up[:, _ROOT]).any():
         return joints_y_up[:, _ROOT].copy()
-    observed = ~np.isnan(joints_y_up).any(-1)
+    observed = np.asarray(~np.isnan(joints_y_up).any(-1))
     roots = (joints_y_up - joint_positions(local, np.zeros((len(local), 3)), offsets))[:, _FROM_ROOT]
     nearest = np.argmax(observed[:, _FROM_ROOT], axis=1)
     return forward_filled(roots[np.arange(len(roots)), nearest])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -133,8 +134,8 @@ def train_rotations(settings: RotationTraining, console: Console | None = None) 
     return settings.out
 
 
-def _loss(found: "torch.Tensor", wanted: "torch.Tensor") -> "torch.Tensor":
-    """Mean over bones of the distance of matrices: about the error in radians, for outliers not squared."""
+def _loss(found: Any, wanted: Any) -> Any:
+    """Of tensors (n, 162): the mean over bones of the distance of matrices: about the error in radians, for outliers not squared."""
     off = (found - wanted).reshape(len(found), -1, 9)
     distance = (off.nan_to_num() ** 2).sum(-1) / 2  # an unknown truth is no error
     return (distance + 1e-4).sqrt().mean()
@@ -196,9 +197,9 @@ def _samples(
     return np.concatenate(features), np.concatenate(targets)
 
 
-def _save(path: Path, network: "torch.nn.Sequential", mean: ndarray, scale: ndarray) -> None:
+def _save(path: Path, network: Any, mean: ndarray, scale: ndarray) -> None:
     """Half precision: a ten-thousandth of a turn is nothing here."""
-    arrays = {"mean": mean.astype(np.float32), "scale": scale.astype(np.float32)}
+    arrays: dict[str, Any] = {"mean": mean.astype(np.float32), "scale": scale.astype(np.float32)}
     layers = [layer for layer in network if hasattr(layer, "weight")]
     for i, layer in enumerate(layers):
         arrays[f"weight{i}"] = layer.weight.detach().numpy().astype(np.float16)
