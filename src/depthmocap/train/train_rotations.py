@@ -135,7 +135,7 @@ def train_rotations(settings: RotationTraining, console: Console | None = None) 
 
 
 def _loss(found: Any, wanted: Any) -> Any:
-    """Of tensors (n, 162): the mean over bones of the distance of matrices: about the error in radians, for outliers not squared."""
+    """Of tensors (n, 162): the distance of bones' matrices, about their angle (radians); not squared, for outliers."""
     off = (found - wanted).reshape(len(found), -1, 9)
     distance = (off.nan_to_num() ** 2).sum(-1) / 2  # an unknown truth is no error
     return (distance + 1e-4).sqrt().mean()
