@@ -138,7 +138,7 @@ def test_a_rig_that_is_set_up_in_a_browser(browser: Any, recording: Path) -> Non
         page, asked = browser.new_page(viewport={"width": 1200, "height": 900}), set[str | None]()
         page.on("request", lambda request: asked.add(urlsplit(request.url).hostname))
         page.goto(served.url)
-        assert until(lambda: bool(served.server.get_clients()))
+        assert until(lambda: bool(served.server.get_clients()), 60)
         shown.show(rig_state(frames, 30.0, 8.0, calibration=None, drawn=None))
         page.get_by_text("No two cameras are placed yet").wait_for(timeout=60_000)
         shown.show(rig_state(frames, 30.0, 8.0))

@@ -45,6 +45,8 @@ def test_an_instant_is_drawn(page: Page, result: Path) -> None:
     view.draw(GAP[0])
     # Who is not seen is not drawn, and the others move up.
     assert not second._bones.visible and "person 1: not seen" in view.status.content
+    # The plot gets None where nothing is known, from which it leaves a gap.
+    assert [value is None for value in view.plots._joint.data[1]] == [i in GAP for i in range(SETS)]
 
 
 def test_controls_choose_what_is_drawn(page: Page, result: Path) -> None:

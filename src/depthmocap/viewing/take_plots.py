@@ -125,7 +125,8 @@ class TakePlots:
                 twin = next((each for each in take.beside if each.number == number), take.beside[0])
                 other = twin.series(int(first), int(end))[0][:, column]
             parts.append(other)
-        data: Any = (times_s, *with_gaps(*(part[:, axis] for part in parts for axis in range(3))))
+        # A list, because viser makes the columns of a tuple arrays, which know no None.
+        data: Any = [times_s, *with_gaps(*(part[:, axis] for part in parts for axis in range(3)))]
         self._joint.data = data
         self._confidence.data = (times_s, np.nan_to_num(confidence).astype(np.float64))
 
@@ -135,7 +136,7 @@ class TakePlots:
         self._shown_bin = now
         self._overview.data = (self._bin_times_s, self._lowest, self._cursor(now, _TOP))
         if self._error is not None:
-            data: Any = (self._bin_times_s, *with_gaps(self._errors_cm), self._cursor(now, self._top_cm))
+            data: Any = [self._bin_times_s, *with_gaps(self._errors_cm), self._cursor(now, self._top_cm)]
             self._error.data = data
 
     def _cursor(self, now: int, top: float) -> Float[ndarray, " n"]:
