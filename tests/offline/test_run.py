@@ -352,3 +352,20 @@ def test_time_offsets_of_the_rig_bring_late_frames_into_their_sets(recording, tm
     assert main([*command, "--rig", str(tmp_path / "early.json")]) == 0
     assert read_summary(tmp_path / "out")["frames"] == 6
     assert read_summary(tmp_path / "out")["first_timestamp_ns"] == 1_000_000_000 - 3_000_000_000
+
+
+def test_many_recordings_have_folders_of_their_own_and_are_done_once(recording, tmp_path, capsys):
+    first, second = (shutil.copytree(recording, tmp_path / "in" / name / "sway") for name in ("a", "b"))
+    out = tmp_path / "out"
+    words = ["run", str(first), str(second), "--out", str(out), "--no-report", "--segment", "none", "--formats", "npz"]
+    assert main([*words[:3], str(tmp_path / "none"), *words[3:]]) == 2
+    assert "1 of 3 recordings could not be processed" in capsys.readouterr().err.replace("\n", " ")
+    alone = run(RunSettings(first, tmp_path / "alone", segment="none", report=False, formats=("npz",)))
+    for name in ("sway", "sway-2"):
+        assert (out / name / "pose.csv").read_bytes() == (alone.folder / "pose.csv").read_bytes()
+    stamps = [(out / name / "pose.csv").stat().st_mtime_ns for name in ("sway", "sway-2")]
+    os.utime(next(second.rglob("*.png")), ns=(1, 10**18 * 2))
+    assert main(words) == 0
+    again = [(out / name / "pose.csv").stat().st_mtime_ns for name in ("sway", "sway-2")]
+    assert again[0] == stamps[0] and again[1] > stamps[1]
+    assert "sway: done before" in capsys.readouterr().err
