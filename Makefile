@@ -26,9 +26,9 @@ test-slow: $(VENV)/body $(VENV)/gltf
 
 test-all: test test-slow
 
-# Files opened by Blender's module, of 370 MB, which needs this Python.
+# Files opened by Blender's module, of 370 MB, which needs this Python, and by OpenSim.
 BLENDER_PYTHON ?= python3.11
-interop: $(VENV)/body $(VENV)/gltf $(VENV)/blender
+interop: $(VENV)/body $(VENV)/gltf $(VENV)/blender $(VENV)/opensim
 	DEPTHMOCAP_BLENDER_PYTHON=$(VENV)/blender/$(if $(filter Windows_NT,$(OS)),Scripts,bin)/python $(BIN)/python -m pytest -q \
 		tests/interop tests/exporting
 
@@ -85,6 +85,10 @@ $(VENV)/gltf: $(VENV)/dev
 $(VENV)/blender: $(VENV)/base
 	$(BLENDER_PYTHON) -m venv $@
 	$@/$(if $(filter Windows_NT,$(OS)),Scripts,bin)/pip install -q --disable-pip-version-check bpy==5.0.1
+	touch $@
+
+$(VENV)/opensim: $(VENV)/dev
+	$(BIN)/pip install -q --disable-pip-version-check -c constraints.txt -e '.[opensim]'
 	touch $@
 
 # Anny's cache, which processes must not fill at the same time, and the kernels, which each of them would compile.

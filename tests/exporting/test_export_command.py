@@ -271,7 +271,6 @@ def test_every_format_has_its_row() -> None:
     from depthmocap.exporting.file_settings import FormatName
 
     assert set(FORMATS) == set(get_args(FormatName)) and all(callable(each.write) for each in FORMATS.values())
-    root = Path(__file__).parents[2]
-    extra = re.search(r"\nexport = \[(.*?)\]", (root / "pyproject.toml").read_text(), re.S)
-    assert extra is not None
-    assert all(each.needs[1] in extra[1] for each in FORMATS.values() if each.needs)
+    text = (Path(__file__).parents[2] / "pyproject.toml").read_text()
+    extras = dict(re.findall(r"\n(\w+) = \[(.*?)\n\]", text, re.S))
+    assert all(each.needs[1] in extras[each.needs[2]] for each in FORMATS.values() if each.needs)

@@ -42,7 +42,8 @@ class ExportSettings(FileSettings):
     Attributes:
         result: the folder of results.
         out: another folder, for the files.
-        formats: of the files: csv, trc, bvh and npz for every person; c3d, glb and usd with everybody in one file.
+        formats: of the files: csv, trc, bvh, npz, osim (OpenSim's model) and mot (its inverse kinematics) for every
+            person; c3d, glb and usd with everybody in one file.
         least_confidence: joints below it are gaps in csv, trc, c3d and npz, and are held in bvh, glb and usd.
     """
 
@@ -95,9 +96,11 @@ def write_formats(result: StoredResult, settings: FileSettings, formats: Sequenc
     if not people:
         raise unsure or InputError(f"{result.folder}: nobody is left after the corrections in edits.json")
     take = dataclasses.replace(take, people=tuple(people))
-    paths = []
+    paths: list[Path] = []
+    told: dict[int, dict[str, Any]] = {person.number: {} for person in people}
     for name in formats:
-        file_format, file_name = FORMATS[name], f"pose.{name}"
+        file_format = FORMATS[name]
+        file_name = file_format.name or f"pose.{name}"
         if file_format.together:
             paths.append(out / file_name)
             file_format.write(paths[-1], take, settings)
@@ -107,7 +110,9 @@ def write_formats(result: StoredResult, settings: FileSettings, formats: Sequenc
             if take.several:
                 make_inner_folder(folder)
             paths.append(folder / file_name)
-            file_format.write(paths[-1], take.of(person), settings)
+            found = file_format.write(paths[-1], take.of(person), settings)
+            if found is not None:
+                told[person.number][name] = found
     document = {
         "schema": SCHEMA,
         "version": __version__,
@@ -121,7 +126,7 @@ def write_formats(result: StoredResult, settings: FileSettings, formats: Sequenc
         "settings": {field.name: getattr(settings, field.name) for field in dataclasses.fields(FileSettings)},
         "filled_by": METHOD if settings.fill_s else None,
         "files": [path.relative_to(out).as_posix() for path in paths],
-        "people": [_person_entry(take, person, settings) for person in people],
+        "people": [{**_person_entry(take, person, settings), **told[person.number]} for person in people],
     }
     write_json(out / EXPORT_FILE, document)
     return paths

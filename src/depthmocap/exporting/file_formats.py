@@ -7,13 +7,15 @@ import importlib
 import importlib.util
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from depthmocap.errors import missing_extra
 from depthmocap.exporting.exported_take import ExportedTake
 from depthmocap.exporting.file_settings import FileSettings, FormatName
 
-#: Writes a file of a take; of one person, where people have files of their own.
-Write = Callable[[Path, ExportedTake, FileSettings], None]
+#: Writes a file of a take; of one person, where people have files of their own. What it returns of a person goes into
+#: export.json.
+Write = Callable[[Path, ExportedTake, FileSettings], dict[str, Any] | None]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,13 +25,15 @@ class FileFormat:
     Attributes:
         module: that writes it, by ``function`` (:data:`Write`).
         together: whether everybody is in one file; otherwise each person has one.
-        needs: the module of another package, which the extra "export" brings, and that package.
+        needs: the module of another package, that package, and the extra that brings it.
+        name: of the file; by default "pose" with the format's ending.
     """
 
     module: str
     function: str
     together: bool = False
-    needs: tuple[str, str] | None = None
+    needs: tuple[str, str, str] | None = None
+    name: str = ""
 
     @property
     def write(self) -> Write:
@@ -42,9 +46,11 @@ FORMATS: dict[FormatName, FileFormat] = {
     "trc": FileFormat("trc", "write_take_trc"),
     "bvh": FileFormat("bvh", "write_take_bvh"),
     "npz": FileFormat("pose_npz", "write_npz"),
-    "c3d": FileFormat("c3d", "write_c3d", together=True, needs=("ezc3d", "ezc3d")),
+    "osim": FileFormat("opensim_model", "write_osim", name="model.osim"),
+    "mot": FileFormat("opensim_ik", "write_mot", needs=("opensim", "opensim", "opensim"), name="ik.mot"),
+    "c3d": FileFormat("c3d", "write_c3d", together=True, needs=("ezc3d", "ezc3d", "export")),
     "glb": FileFormat("glb", "write_glb", together=True),
-    "usd": FileFormat("usd", "write_usd", together=True, needs=("pxr", "usd-core")),
+    "usd": FileFormat("usd", "write_usd", together=True, needs=("pxr", "usd-core", "export")),
 }
 
 
@@ -56,4 +62,4 @@ def check_formats(formats: Sequence[FormatName]) -> None:
     for name in formats:
         needs = FORMATS[name].needs
         if needs is not None and importlib.util.find_spec(needs[0]) is None:
-            raise missing_extra(needs[1], "export")
+            raise missing_extra(needs[1], needs[2])

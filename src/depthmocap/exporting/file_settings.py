@@ -11,7 +11,7 @@ from depthmocap.exporting.target_skeleton import RestPose, SkeletonName
 from depthmocap.exporting.timeline import LEAST_CONFIDENCE
 
 BvhUnit = Literal["cm", "m"]
-FormatName = Literal["csv", "trc", "bvh", "npz", "c3d", "glb", "usd"]
+FormatName = Literal["csv", "trc", "bvh", "npz", "osim", "mot", "c3d", "glb", "usd"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -19,8 +19,9 @@ class FileSettings:
     """The files of a take.
 
     Attributes:
-        formats: of files besides pose.csv, which is always there: trc, bvh and npz for every person, c3d, glb and usd
-            with everybody in one file; csv adds the bones' rotations to pose.csv.
+        formats: of files besides pose.csv, which is always there: trc, bvh, npz, osim (OpenSim's model) and mot (its
+            inverse kinematics) for every person, c3d, glb and usd with everybody in one file; csv adds the bones'
+            rotations to pose.csv.
         skeleton: names of the bones in bvh, glb and usd.
         rest: the pose at rest in bvh, glb and usd: T, or A with arms 45 degrees down.
         bvh_unit: of lengths in bvh; Blender takes numbers for metres.
