@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import analysis_tables
 import bench_tables
 import calibration_tables
 import people_tables
@@ -26,7 +27,7 @@ import depthmocap
 from depthmocap.errors import InputError
 
 Numbers = dict[str, Any]
-Group = Literal["bench", "people", "time", "calibration", "speed"]
+Group = Literal["bench", "people", "time", "analysis", "calibration", "speed"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,6 +47,7 @@ GROUPS: dict[Group, Tables] = {
     "bench": Tables(bench_tables.PAGES, bench_tables.measurements, bench_tables.TABLES),
     "people": Tables(people_tables.PAGES, people_tables.measurements, people_tables.TABLES),
     "time": Tables(time_tables.PAGES, time_tables.measurements, time_tables.TABLES),
+    "analysis": Tables(analysis_tables.PAGES, analysis_tables.measurements, analysis_tables.TABLES),
     "calibration": Tables(calibration_tables.PAGES, calibration_tables.measurements, calibration_tables.TABLES),
     "speed": Tables(speed_tables.PAGES, speed_tables.measurements, speed_tables.TABLES),
 }

@@ -20,7 +20,7 @@ GROUPS = (
     "cameras recordings",
     "segment classify pose smooth",
     "datasets exporting report",
-    "offline calibration streaming viewing realtime rigging",
+    "offline calibration streaming viewing realtime rigging analysis",
     "synth",
     "train",
     "evaluate",

@@ -29,6 +29,7 @@ from depthmocap.frames import FrameSet, FrameSource, Pose, View
 from depthmocap.geometry import DepthCamera, Rig, load_rig, save_rig
 
 if TYPE_CHECKING:
+    from depthmocap.analysis.analyse_command import AnalyseSettings, analyse
     from depthmocap.body.skeleton import JOINTS
     from depthmocap.calibration.calibrate import CalibrateSettings, Calibration, calibrate
     from depthmocap.cameras.registry import open_camera
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
 
 #: What is loaded on first use, by module.
 _LAZY = {
+    "depthmocap.analysis.analyse_command": ("AnalyseSettings", "analyse"),
     "depthmocap.body.skeleton": ("JOINTS",),
     "depthmocap.calibration.calibrate": ("CalibrateSettings", "Calibration", "calibrate"),
     "depthmocap.cameras.registry": ("open_camera",),
@@ -73,6 +75,7 @@ _MODULE = {name: module for module, names in _LAZY.items() for name in names}
 
 __all__ = [
     "JOINTS",
+    "AnalyseSettings",
     "CalibrateSettings",
     "Calibration",
     "CameraError",
@@ -105,6 +108,7 @@ __all__ = [
     "StreamSetup",
     "View",
     "__version__",
+    "analyse",
     "calibrate",
     "export",
     "live",

@@ -82,10 +82,10 @@ GROUPS: dict[str, tuple[Command, ...]] = {
         ),
         Command(
             "run",
-            "depthmocap.offline.run",
-            "RunSettings",
-            "run",
-            "motion capture of a recording or a UBC3V section",
+            "depthmocap.offline.run_command",
+            "RunCommand",
+            "run_all",
+            "motion capture of recordings or a UBC3V section",
         ),
         Command(
             "view",
@@ -110,6 +110,13 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "ExportSettings",
             "export",
             "files for other tools, of a take that was made",
+        ),
+        Command(
+            "analyse",
+            "depthmocap.analysis.analyse_command",
+            "AnalyseSettings",
+            "analyse",
+            "joint angles, gait, standing up and sitting down, of takes that were made",
         ),
     ),
     "Recordings": (
@@ -345,6 +352,14 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "SkeletonEvaluation",
             "evaluate_skeleton",
             "rotations, lengths and feet of the skeleton of files and avatars",
+            "train",
+        ),
+        Command(
+            "evaluate analysis",
+            "depthmocap.evaluate.analysis_protocol",
+            "AnalysisEvaluation",
+            "evaluate_analysis",
+            "the numbers of analyse against the truth, on generated people",
             "train",
         ),
         Command(

@@ -6,6 +6,7 @@ import collections
 from pathlib import Path
 from typing import Any
 
+import analysis_tables
 import bench_tables
 import people_tables
 import pytest
@@ -14,6 +15,7 @@ import time_tables
 import tyro
 from measurements import ROOT, Measurement, Scale
 
+from depthmocap.analysis.quantities import ANGLES, GAIT, TRANSFERS
 from depthmocap.commands import COMMANDS
 from depthmocap.errors import InputError
 from depthmocap.evaluate.posture_scenarios import ACTS
@@ -62,6 +64,13 @@ def _motion() -> dict[str, Any]:
     return {"motion": {"views 3": rows, "views 1": rows}, "skeleton": skeletons}
 
 
+def _analysis() -> dict[str, Any]:
+    names = ("heel_strike", "toe_off", "mass_centre", *GAIT, *TRANSFERS, *ANGLES, *(f"{name} range" for name in ANGLES))
+    row = {"n": 1234, "found": 0.99, "error": 0.0234, "within_95": 0.0567}
+    rows = {kind: dict.fromkeys(names, row) for kind in analysis_tables.KINDS}
+    return {"analysis": {f"views {views}": rows for views in (1, 2, 3)}}
+
+
 def _calibration() -> dict[str, Any]:
     numbers = dict.fromkeys(
         ("mm", "degrees", "± mm", "± degrees", "tilt degrees", "height mm", "joints cm, true rig",
@@ -94,12 +103,16 @@ def _speed() -> dict[str, Any]:
     }  # fmt: skip
 
 
-_NUMBERS = {"bench": _bench, "people": _people, "time": _motion, "calibration": _calibration, "speed": _speed}
+_NUMBERS = {
+    "bench": _bench, "people": _people, "time": _motion, "analysis": _analysis, "calibration": _calibration,
+    "speed": _speed,
+}  # fmt: skip
 #: A row of each group's tables.
 _ROWS = {
     "bench": "| mean joint error, 3 views (within 10 cm) | 1.23 cm (98.7 %) | 9.88 cm (98.7 %) |",
     "people": "| `auto`, the empty scene known | 0.950 (0.89) | 96.9 % | 6 times | 0.20 (–) | 4 | 1.9 |",
     "time": "| **kalman, steady bones** (`auto`) | 2.35 | 2.3 (2.3) | 2.35 | 2.3 | 2.3 | 2.3 | 2 | 2 |",
+    "analysis": "| heel strike | ms | 23.4 | 23.4 | 23.4 | 23.4 | 23.4 | 56.7 | 99% of 1,234 |",
     "calibration": "| 3 cameras | 1.3 (worst 2.1) | 1.26 (0.04) | 1.3 mm, 1.26° | 1.26°; 1.3 mm | 1.26; 1.26 |",
     "speed": "| sets left out | 3,446 of 54,000 | 3,446 of 54,000 |",
 }

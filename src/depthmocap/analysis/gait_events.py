@@ -1,0 +1,114 @@
+"""Heel strikes and toe-offs, and the steps between them, from where ankles are.
+
+Heels and toes are not among the joints. A foot's swing is where its ankle's horizontal speed peaks; toe-off is where
+the speed has risen to half of the peak, heel strike where it has fallen to a fifth. Both shares were chosen on motion
+capture of walking, against when heel and toe themselves come to rest and go (docs/results/analysis.md).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray
+from scipy.signal import find_peaks
+
+from depthmocap.analysis.joint_angles import SIDES
+from depthmocap.analysis.steady_joints import SteadyJoints, stretches
+
+#: Shares of the swing's peak speed at toe-off and at heel strike.
+_TOE_OFF, _HEEL_STRIKE = 0.5, 0.22
+#: Slowest peak of a swing (m/s), and the least time from one to the next (s).
+_SLOWEST_MPS, _APART_S = 0.5, 0.3
+#: Between two swings the ankle slows down to less than this share of the lower peak.
+_DIP = 0.5
+#: A swing goes at least so far (m), and lasts at most so long (s).
+_SHORTEST_M, _LONGEST_SWING_S = 0.12, 1.2
+#: The foot stands flat from so long after heel strike, for up to so long or this share of the stance (s).
+_LANDED_S, _FLAT_S, _FLAT_SHARE = 0.1, 0.35, 0.6
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Swing:
+    """One swing of a foot: seconds, and where the foot stands after it (m, on the floor; NaN where not seen)."""
+
+    side: str
+    toe_off_s: float
+    heel_strike_s: float
+    place: Float[ndarray, "2"]
+
+
+def swings(steady: SteadyJoints) -> list[Swing]:
+    """Swings of both feet in the order of their heel strikes. A swing of which a part was not seen is none."""
+    found = [swing for side in SIDES for swing in _of_a_foot(steady, side)]
+    return sorted(found, key=lambda swing: swing.heel_strike_s)
+
+
+def ankle_speed(steady: SteadyJoints, side: str) -> Float[ndarray, " t"]:
+    """Horizontal speed of an ankle (m/s), NaN beside gaps."""
+    across = steady.of(f"{SIDES[side]}Foot")[:, [0, 2]]
+    if len(across) < 2:
+        return np.full(len(across), np.nan)
+    return np.linalg.norm(np.gradient(across, steady.frame_s, axis=0), axis=1)
+
+
+def _of_a_foot(steady: SteadyJoints, side: str) -> list[Swing]:
+    speed, times_s = ankle_speed(steady, side), steady.times_s
+    ankle = steady.of(f"{SIDES[side]}Foot")[:, [0, 2]]
+    spans: list[tuple[float, float]] = []
+    for first, end in stretches(~np.isnan(speed)):
+        peaks = _peaks(speed[first:end], steady.frame_s)
+        for peak in peaks:
+            before = _crossing(speed[first:end], peak, -1, _TOE_OFF * speed[first + peak])
+            after = _crossing(speed[first:end], peak, 1, _HEEL_STRIKE * speed[first + peak])
+            if before is None or after is None or (after - before) * steady.frame_s > _LONGEST_SWING_S:
+                continue
+            start, stop = first + int(np.floor(before)), first + int(np.ceil(after))
+            if np.linalg.norm(ankle[stop] - ankle[start]) >= _SHORTEST_M:
+                at = times_s[0] + (first + np.array([before, after])) * steady.frame_s
+                spans.append((float(at[0]), float(at[1])))
+    result = []
+    for i, (toe_off_s, heel_strike_s) in enumerate(spans):
+        next_s = spans[i + 1][0] if i + 1 < len(spans) else np.inf
+        swing = Swing(side, toe_off_s, heel_strike_s, np.full(2, np.nan))
+        result.append(dataclasses.replace(swing, place=place_after(steady, swing, next_s)))
+    return result
+
+
+def _peaks(speed: Float[ndarray, " t"], frame_s: float) -> list[int]:
+    """Peaks of swings; of two between which the ankle does not slow down, the higher."""
+    found, _ = find_peaks(speed, height=_SLOWEST_MPS, distance=max(round(_APART_S / frame_s), 1))
+    kept: list[int] = []
+    for peak in found.tolist():
+        if kept and speed[kept[-1] : peak + 1].min() > _DIP * min(speed[kept[-1]], speed[peak]):
+            if speed[peak] > speed[kept[-1]]:
+                kept[-1] = peak
+        else:
+            kept.append(peak)
+    return kept
+
+
+def _crossing(values: Float[ndarray, " t"], start: int, step: int, level: float) -> float | None:
+    """Where values first fall below a level, from a peak on (a fraction of frames); None where they do not."""
+    i = start
+    while 0 <= i + step < len(values):
+        here, there = values[i], values[i + step]
+        if there < level <= here:
+            return i + step * (here - level) / (here - there)
+        i += step
+    return None
+
+
+def place_after(steady: SteadyJoints, swing: Swing, toe_off_s: float) -> Float[ndarray, "2"]:
+    """Where a foot stands after a swing: the ankle's mean while the foot is flat, NaN where most of that was not seen.
+
+    Args:
+        toe_off_s: the foot's next toe-off; infinite where there is none.
+    """
+    ankle, times_s = steady.of(f"{SIDES[swing.side]}Foot")[:, [0, 2]], steady.times_s
+    flat_s = max(_FLAT_SHARE * (toe_off_s - swing.heel_strike_s), _LANDED_S)
+    first_s, last_s = swing.heel_strike_s + _LANDED_S, swing.heel_strike_s + min(_LANDED_S + _FLAT_S, flat_s)
+    flat = ankle[(times_s >= first_s - 1e-9) & (times_s <= last_s + 1e-9)]
+    seen = flat[~np.isnan(flat).any(1)]
+    return seen.mean(0) if len(seen) and 2 * len(seen) > len(flat) else np.full(2, np.nan)
