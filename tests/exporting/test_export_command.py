@@ -103,6 +103,7 @@ def test_rotations_in_csv_turn_the_rest_pose_into_the_pose(tmp_path: Path, up: s
     table = np.array([line.split(",") for line in lines], float)
     arrays = np.load(tmp_path / "out" / "person-1" / "pose.npz")
     assert set(arrays) >= {"times_s", "joints", "quaternions", "rest_offsets"}
+    assert arrays["standing"].shape == (len(truth), 2)
     assert arrays["joint_names"].tolist() == list(JOINTS)
     for parent, child in BONES:
         rotation = table[:, names.index(f"{parent}_qx") : names.index(f"{parent}_qw") + 1]

@@ -59,6 +59,11 @@ def _depth(joint: str) -> int:
 #: Joints by their distance from the root in the tree.
 _FROM_ROOT = sorted(range(len(JOINTS)), key=lambda i: _depth(JOINTS[i]))
 _ROOT = JOINT_INDEX[ROOT]
+#: Of each joint (row) itself and the joints between it and the root.
+_ANCESTRY = np.eye(len(JOINTS))
+for _joint, _parent in PARENTS.items():  # parents before children
+    if _parent is not None:
+        _ANCESTRY[JOINT_INDEX[_joint]] += _ANCESTRY[JOINT_INDEX[_parent]] * (_parent != ROOT)
 #: A vector shorter than this (m) has no direction.
 _SHORTEST_M = 1e-6
 #: Least ratio of the singular values for a fit: children nearly on one line do not determine the twist about it.
@@ -194,7 +199,7 @@ def world_rotations(local: Float[ndarray, "t 18 3 3"]) -> Float[ndarray, "t 18 3
 
 def rest_positions(offsets: Float[ndarray, "18 3"]) -> Float[ndarray, "18 3"]:
     """The joints (m) of the rest skeleton, its root at the origin."""
-    return joint_positions(np.tile(np.eye(3), (1, len(JOINTS), 1, 1)), np.zeros((1, 3)), offsets)[0]
+    return _ANCESTRY @ offsets
 
 
 def joint_positions(

@@ -33,7 +33,8 @@ _INCIDENCE = np.zeros((len(_PAIRS), len(JOINTS)))
 _INCIDENCE[np.arange(len(_PAIRS)), _PAIRS[:, 0]], _INCIDENCE[np.arange(len(_PAIRS)), _PAIRS[:, 1]] = -1, 1
 _COUPLING = _INCIDENCE @ _INCIDENCE.T
 _DAMPING = 0.02
-_PASSES = 4
+#: Newton steps at most, and the stretch (m) at which there is nothing to do.
+_PASSES, _STRETCH_M = 4, 1e-5
 #: A distance estimated shorter than this share of its length is left as it is: its direction is unreliable.
 _SHORTEST = 0.4
 #: Frames that are solved at once, which bounds memory.
@@ -58,10 +59,12 @@ def _projected(joints: Float[ndarray, "t 18 3"], lengths: Float[ndarray, " p"]) 
     for _ in range(_PASSES):
         between = moved[:, _PAIRS[:, 1]] - moved[:, _PAIRS[:, 0]]
         length = np.linalg.norm(between, axis=-1)
+        stretch = np.where(bound, length - lengths, 0.0)
+        if np.abs(stretch).max(initial=0.0) < _STRETCH_M:
+            break
         direction = between / np.maximum(length, 1e-9)[..., None]
         cosines = direction @ np.swapaxes(direction, -1, -2)
         cosines[:, np.arange(len(_PAIRS)), np.arange(len(_PAIRS))] = 1.0
-        stretch = np.where(bound, length - lengths, 0.0)
         tension = np.linalg.solve(coupling * cosines, stretch[..., None])
         moved = moved - _INCIDENCE.T @ (tension * direction)
     return np.where(known[..., None], moved, np.nan)

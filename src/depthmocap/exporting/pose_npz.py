@@ -35,6 +35,7 @@ def write_npz(path: Path, take: ExportedTake, settings: FileSettings) -> None:
             quaternions=rig_quaternions(motion, take.up),
             skeleton_joints=motion.positions() @ y_up_from(take.up),
             held=motion.held,
+            standing=motion.standing,
             rest_offsets=motion.offsets,
             joint_names=np.array(JOINTS),
             parents=np.array([JOINTS.index(PARENTS[joint] or joint) for joint in JOINTS]),
