@@ -167,6 +167,13 @@ def test_lengths_may_be_given_live(name: str) -> None:
     assert np.linalg.norm(bone) == pytest.approx(1.2 * REST[name][1], abs=1e-6)
 
 
+def test_joints_that_are_all_in_one_place_are_no_error() -> None:
+    motion = solve_body(timeline_of(np.ones((3, 18, 3))))
+    np.testing.assert_allclose(motion.root, 1.0)
+    assert np.isfinite(motion.world_rotations()).all()
+    assert RunningSkeleton("z")(Pose(0, np.ones((18, 3)), np.ones(18))) is not None
+
+
 def test_settings_of_contacts_count() -> None:
     joints, _ = stepping(40, np.random.default_rng(0))
     assert not standing_feet(joints, FRAME_S, ContactSettings(slow_mps=1e-6)).any()

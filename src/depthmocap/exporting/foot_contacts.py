@@ -179,6 +179,8 @@ def reach_ankles(
     """
     hip, knee, ankle = (joints[:, i] for i in leg)
     known = np.isfinite(hip + knee + ankle + target).all(-1, keepdims=True)
+    for vector in (knee - hip, ankle - hip, target - hip):
+        known &= np.linalg.norm(vector, axis=-1, keepdims=True) > _STRAIGHT_M  # False for NaN
     thigh, shin, before, way = (
         np.where(known, each, [0.0, -1.0, 0.0]) for each in (knee - hip, ankle - knee, ankle - hip, target - hip)
     )

@@ -23,6 +23,8 @@ from depthmocap.geometry.transforms import cross
 _FILE = Path(__file__).with_name("weights") / "rotations.npz"
 #: How long before the present the joints are looked at (s).
 LOOKED_BACK_S = (0.0, 1 / 15, 2 / 15)
+#: Nobody is smaller (m): where all joints are in one place, nothing can be told, and nothing fails.
+_SMALLEST_M = 0.1
 #: Numbers that the network takes.
 FEATURES = 3 * len(JOINTS) * len(LOOKED_BACK_S) + 3
 _SIDES = f"f h g {9 * len(JOINTS)}".split()
@@ -41,7 +43,9 @@ def trunk_axes(joints_y_up: Float[ndarray, "t 18 3"]) -> Float[ndarray, "t 3 3"]
     up = up / np.maximum(np.linalg.norm(up, axis=-1, keepdims=True), 1e-9)
     left = left - (left * up).sum(-1, keepdims=True) * up
     left = left / np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
-    return np.stack([left, up, cross(left, up)], -1)
+    axes = np.stack([left, up, cross(left, up)], -1)
+    flat = np.linalg.det(axes) < 0.5  # hips and shoulders at one place, or on one line
+    return np.where(flat[:, None, None], np.eye(3), axes)
 
 
 def rotation_features(
@@ -55,7 +59,7 @@ def rotation_features(
         size_m: the sum of the lengths of the person's bones.
     """
     centred = window - window[:, :, _HIPS].mean(2, keepdims=True)
-    inside = np.einsum("wtni,tij->tnwj", centred, axes) / np.reshape(size_m, (-1, 1, 1, 1))
+    inside = np.einsum("wtni,tij->tnwj", centred, axes) / np.maximum(np.reshape(size_m, (-1, 1, 1, 1)), _SMALLEST_M)
     return np.concatenate([inside.reshape(len(axes), -1), axes[:, 1]], 1)
 
 

@@ -20,6 +20,8 @@ _UPPER, _LOWER, _END = (
 _ALONG = np.array([(-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
 _HINGE = np.array([(0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)])
 _REST = np.stack([_ALONG, _HINGE, cross(_ALONG, _HINGE)], -1)
+#: A shorter bone has no direction (m).
+_SHORTEST_M = 1e-6
 #: A hinge bent less than the first tells nothing of its axis, more than the second all (radians).
 _BENT_RAD = np.deg2rad([8.0, 30.0])
 #: The same where it seems to bend backwards: so far it may be the joints' error.
@@ -58,20 +60,23 @@ def with_hinges(guess: Float[ndarray, "t 18 3 3"], joints: Float[ndarray, "t 18 
     """Rotations whose limbs are turned about themselves as their hinges are: elbows and knees that are bent tell it,
     and of straight ones the guess does."""
     guess = guess.copy()
-    upper, lower = _unit(joints[:, _LOWER] - joints[:, _UPPER]), _unit(joints[:, _END] - joints[:, _LOWER])
+    bones = joints[:, _LOWER] - joints[:, _UPPER], joints[:, _END] - joints[:, _LOWER]
+    guessed = (guess[:, _UPPER] @ _ALONG[:, :, None])[..., 0]
+    short = np.minimum(*(np.linalg.norm(bone, axis=-1, keepdims=True) for bone in bones)) < _SHORTEST_M
+    upper, lower = (_unit(np.where(short, guessed, bone)) for bone in bones)
     seen = cross(upper, lower)
     sine = np.linalg.norm(seen, axis=-1, keepdims=True)
     bend = np.arctan2(sine, (upper * lower).sum(-1, keepdims=True))
     # The guess, pointed along the limb, tells the axis of a straight one.
-    turn = rotation_between((guess[:, _UPPER] @ _ALONG[:, :, None])[..., 0], upper)
+    turn = rotation_between(guessed, upper)
     before = ((turn @ guess[:, _UPPER]) @ _HINGE[:, :, None])[..., 0]
     forwards = (seen * before).sum(-1, keepdims=True) >= 0
     least, most = (np.where(forwards, a, b) for a, b in zip(_BENT_RAD, _BACKWARDS_RAD, strict=True))
     trust = np.clip((bend - least) / (most - least), 0, 1)
     axis = trust * seen / np.maximum(sine, 1e-9) + (1 - trust) * before
-    for bones, along in ((_UPPER, upper), (_LOWER, lower)):
+    for numbers, along in ((_UPPER, upper), (_LOWER, lower)):
         across = _unit(axis - (axis * along).sum(-1, keepdims=True) * along)
-        guess[:, bones] = np.stack([along, across, cross(along, across)], -1) @ np.swapaxes(_REST, -1, -2)
+        guess[:, numbers] = np.stack([along, across, cross(along, across)], -1) @ np.swapaxes(_REST, -1, -2)
     return guess
 
 
