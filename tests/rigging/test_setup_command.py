@@ -152,7 +152,7 @@ def test_the_live_view_goes_on_with_the_rig(
     pytest.importorskip("viser")
     rig = Rig(tuple(view.camera for view in frames.views))
     captures: list[Any] = []
-    monkeypatch.setattr(setup_command, "Classifier", lambda: None)
+    monkeypatch.setattr(setup_command, "_ready_classifier", lambda *others: None)
     monkeypatch.setattr(setup_command, "_walk", lambda *others: (calibration(rig, 5.0, 8.0), ("walk",), 3, False))
     monkeypatch.setattr(setup_command, "run_live", lambda *asked: captures.append(asked))
     out = tmp_path / "rig.json"

@@ -136,7 +136,7 @@ class LiveCapture:
         people = 1 if self._pipeline is None else self._pipeline.segment.people
         if self._pipeline is None:
             slow = "making ready for poses; on a machine that is new to it this takes minutes, because it is compiled"
-            with _announce_if_slow(slow, self._tell):
+            with announce_if_slow(slow, self._tell):
                 people = compile_pipeline(self._make_pipeline).segment.people
         self.reader.start(self._tell)
         try:
@@ -255,7 +255,7 @@ class LiveCapture:
 
 
 @contextlib.contextmanager
-def _announce_if_slow(line: str, tell: Callable[[str], None]) -> Iterator[None]:
+def announce_if_slow(line: str, tell: Callable[[str], None]) -> Iterator[None]:
     """Call ``tell`` with the line if the body takes long."""
     timer = threading.Timer(SLOW_S, lambda: tell(line))
     timer.daemon = True

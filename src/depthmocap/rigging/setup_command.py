@@ -22,9 +22,12 @@ from depthmocap.core.locks import locks_outputs
 from depthmocap.core.network_devices import NetworkSettings, networks_on
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.geometry import Rig, save_rig
+from depthmocap.realtime.live_capture import announce_if_slow
 from depthmocap.realtime.live_command import LiveSettings, run_live
+from depthmocap.recordings.open_recording import open_recording, packaged_recording
 from depthmocap.rigging.rig_faults import connection_faults
 from depthmocap.rigging.rig_session import RigSession, RigState
+from depthmocap.rigging.walk_observer import WalkObserver
 from depthmocap.text import joined
 
 if TYPE_CHECKING:
@@ -33,8 +36,6 @@ if TYPE_CHECKING:
 
 #: Seconds from one look at the state to the next.
 _LOOK_S = 0.25
-#: Seconds without a frame that was looked at, after which it is told why.
-_SLOW_S = 3.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,10 +92,7 @@ def setup(settings: SetupSettings, console: Console | None = None) -> Rig:
         )
     with contextlib.ExitStack() as stack:
         page = _open_page(settings, console, stack) if settings.view else None
-        with console.status("reading the weights"), networks_on(settings.device) as devices:
-            classifier = Classifier()
-        for line in devices.lines():
-            console.print(f"• {line}")
+        classifier = _ready_classifier(settings, console)
         calibration, specs, cameras, interrupted = _walk(settings, specs, sources, classifier, page, console)
         save_rig(calibration.rig, settings.out)
         print_calibration(calibration, calibration_lines(calibration, cameras), console)
@@ -128,6 +126,24 @@ def _cameras(settings: SetupSettings, console: Console) -> tuple[str, ...]:
     if usable := tuple(camera.spec for camera in connected if not camera.problem):
         return usable
     raise InputError(f"no depth camera was found: {joined(faults, 2) or 'is one plugged in?'}")
+
+
+def _ready_classifier(settings: SetupSettings, console: Console) -> Classifier:
+    """The classifier, and everything compiled that looks at a frame, before a camera is opened."""
+
+    def tell(line: str) -> None:
+        console.print(f"• {line}")
+
+    slow = "making ready to look; on a machine that is new to it this takes minutes, because it is compiled"
+    with announce_if_slow(slow, tell), networks_on(settings.device) as devices:
+        classifier = Classifier()
+        recording = open_recording(packaged_recording())
+        camera = recording.rig.cameras[0]
+        empty = {camera.name: empty_m} if (empty_m := recording.background(camera.name)) is not None else {}
+        WalkObserver(classifier, empty).add(camera, recording.raw(camera.name, recording.stamps(camera.name)[0]), 0.0)
+    for line in devices.lines():
+        tell(line)
+    return classifier
 
 
 def _open_page(settings: SetupSettings, console: Console, stack: contextlib.ExitStack) -> Page:
@@ -208,7 +224,7 @@ class _Walk:
             while True:
                 state = self._session.state()
                 passed_s = time.monotonic() - start_s
-                self._tell(state, passed_s)
+                self._tell(state)
                 screen.update(_picture(state, passed_s), refresh=self._console.is_terminal)
                 if self._shown is not None:
                     self._shown.show(state)
@@ -228,12 +244,10 @@ class _Walk:
             return wanted, make_sources(wanted, PlaybackClock(1.0))
         return None
 
-    def _tell(self, state: RigState, passed_s: float) -> None:
+    def _tell(self, state: RigState) -> None:
         """Tell what is new; where the terminal shows no table, also what has changed."""
         lines = [f"camera {name!r}: {fault}" for name, fault in state.faults.items()]
         lines += [line for line in self._session.reader.problems.counts() if "camera" in line]
-        if passed_s > _SLOW_S and not any(frames for _, frames in state.seen.values()):
-            lines.append("making ready to look; on a machine that is new to it this takes minutes, because it compiles")
         if not self._console.is_terminal:
             lines.append(state.advice)
         for line in lines:
