@@ -168,7 +168,7 @@ def _analyse(name: str, result: StoredResult, settings: AnalyseSettings) -> dict
         if frames_per_second < _EVENT_RATE:
             problems.append(
                 f"{person.label}: only {frames_per_second:.1f} poses a second: heel strikes and toe-offs are coarse, "
-                "and the errors that are told, measured at 30, do not hold for times"
+                "and the errors that are told, measured at 30, do not hold for times."
             )
         people.append(
             {

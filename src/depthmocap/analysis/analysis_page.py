@@ -60,8 +60,12 @@ def _about(
             numbers = table.setdefault((row["result"], row["person"], row["trial"]), {})
             if not row["side"]:
                 numbers[row["quantity"]] = row["value"]
-    rows: list[list[Cell]] = [[*key, *(numbers.get(name) for name in _OVERVIEW)] for key, numbers in table.items()]
-    errors: list[Cell] = ["error of one value", "", "", *(quantity_of(name).error for name in _OVERVIEW)]
+    quantities = {name: quantity_of(name) for name in _OVERVIEW}
+    rows: list[list[Cell]] = [
+        [*key, *(_text(numbers.get(name), quantity) for name, quantity in quantities.items())]
+        for key, numbers in table.items()
+    ]
+    errors: list[Cell] = ["error of one value", "", "", *map(_error, quantities.values())]
     text = [NO_DEVICE, _ERRORS]
     text += [f"Left out: {name}: {problem}" for name, problem in problems.items()]
     return ReportSection("All results", text, (ReportTable(header, [*rows, errors], "Both sides."),))
