@@ -94,7 +94,13 @@ class TrialScene:
         moving = {offset_s: pose_sequence(dressed, motion(times_s + offset_s + 0.5)) for offset_s in {0.0, *offsets_s}}
         rooms = [render_room(_ROOM, camera) if self.room else None for camera in rig.cameras]
         unplaced = Rig(tuple(dataclasses.replace(camera, world_from_camera=np.eye(4)) for camera in rig.cameras))
-        with RecordingWriter(path, unplaced) as writer:
+        # Who stays in one place is taken for a part of the room where the room is learnt from the recording.
+        empty = {
+            camera.name: np.round(room_m / camera.depth_unit_m).astype(np.uint16)
+            for camera, room_m in zip(rig.cameras, rooms, strict=True)
+            if room_m is not None and self.motion in ("arms", "still")
+        }
+        with RecordingWriter(path, unplaced, empty) as writer:
             for time_s in times_s:
                 posed = {offset_s: next(poses) for offset_s, poses in moving.items()}
                 frames = {}

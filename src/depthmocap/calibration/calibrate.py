@@ -17,6 +17,7 @@ from rich.table import Table
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.calibration.calibration_page import draw_clouds, pair_table, write_page
 from depthmocap.calibration.camera_placement import Placement, mean_joints, place_cameras, why_unreliable
+from depthmocap.calibration.lateness_by_motion import find_jumps, jump_lines
 from depthmocap.calibration.observations import Observation, observe, subsample_timestamps
 from depthmocap.calibration.refine import RefinedPlacement, refine
 from depthmocap.calibration.upright import Upright, find_upright
@@ -156,12 +157,15 @@ def solve_rig(what: str, observations: list[Observation], problems: list[str], r
         raise InputError(f"{what}: {_no_pair_message(names, observations, placement)}")
     placed = [observations[camera] for camera in placement.cameras]
     placed_names = tuple(observation.camera.name for observation in placed)
+    jumps = find_jumps([observation.track for observation in placed], placement.offset_s.tolist(), rng.spawn(1)[0])
+    placement = dataclasses.replace(placement, untold=tuple(sorted({*placement.untold, *jumps})))
     refined = refine(placement, placed, rng)
     empty_views = [View(observation.camera, observation.empty_m) for observation in placed]
     upright = find_upright(refined.poses, placement.skeletons, empty_views)
     rig = _rig(placed, refined, upright, placement)
     pairs = judge_pairs(placed_names, placement, refined)
-    warnings = [*find_warnings(placed_names, placement, pairs), *problems]
+    start_s = min(float(observation.track.times_s[0]) for observation in placed if len(observation.track.times_s))
+    warnings = [*find_warnings(placed_names, placement, pairs), *jump_lines(placed_names, jumps, start_s), *problems]
     if not refined.surfaces_used:
         warnings.append("no surface was seen well by two cameras, or it did not fit the skeletons, which decide alone")
     hips = mean_joints(refined.poses, placement.skeletons)[:, JOINT_INDEX["Hip"]]

@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 
 from depthmocap.calibration.joint_tracks import JointTrack, Skeletons, common_times, resample
 from depthmocap.calibration.lateness import search_lateness
+from depthmocap.calibration.lateness_by_motion import confirm_lateness
 from depthmocap.calibration.pairs import CameraPair, estimate_pair, geman_mcclure, usable_joints
 from depthmocap.calibration.solve import ResidualRows, apply_twists, normal_equations, point_rows
 from depthmocap.geometry import rigid_inverse, transform_points
@@ -68,7 +69,9 @@ def place_cameras(tracks: Sequence[JointTrack], rng: np.random.Generator) -> Pla
     search_rng = rng.spawn(1)[0]
     pairs: dict[tuple[int, int], CameraPair] = {}
     for a, b in itertools.combinations(range(len(tracks)), 2):
-        lateness = search_lateness(tracks[a], tracks[b], search_rng)
+        lateness = confirm_lateness(
+            search_lateness(tracks[a], tracks[b], search_rng), tracks[a], tracks[b], search_rng.spawn(1)[0]
+        )
         two = resample((tracks[a], tracks[b]), times_s, np.array([0.0, lateness.seconds]))
         pair = estimate_pair((two.joints[0], two.joints[1]), (two.sigma_m[0], two.sigma_m[1]), rng)
         if pair is not None:

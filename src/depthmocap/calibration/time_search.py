@@ -52,6 +52,7 @@ class TimeMatch:
         rank: of the best candidate.
         rival: share of this rank that the next candidate has, apart from it.
         shared_s: how long the recordings overlap at the best (seconds).
+        repeats: whether it cannot be told because the movement repeats itself.
     """
 
     fit: TimeFit | None
@@ -60,6 +61,7 @@ class TimeMatch:
     rank: float = 0.0
     rival: float = 0.0
     shared_s: float = 0.0
+    repeats: bool = False
 
     @property
     def told(self) -> bool:
@@ -105,7 +107,7 @@ def find_time(
         why = f"the movement repeats itself, and an offset {abs(other_s - fit.shift_s):.1f} s aside fits nearly as well"
     elif fit.sigma_s > _LARGEST_SIGMA_S:
         why = f"it is known to ±{1e3 * fit.sigma_s:.0f} ms only"
-    return TimeMatch(fit, why, fit.shift_s, rank, rival, shared_s)
+    return TimeMatch(fit, why, fit.shift_s, rank, rival, shared_s, rival > MOST_RIVAL)
 
 
 def moving_s(track: JointTrack) -> float:

@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.calibration.camera_placement import Placement, mean_joints
-from depthmocap.calibration.lateness import LONGEST_S
 from depthmocap.calibration.pairs import AGREES_M, LEAST_JOINTS, align, usable_joints
 from depthmocap.calibration.refine import RefinedPlacement
 from depthmocap.geometry import transform_points
@@ -140,9 +139,9 @@ def find_warnings(names: Sequence[str], placement: Placement, pairs: Sequence[Pa
         warnings.append("the person kept near to one place or line: walk over the whole floor that the cameras see")
     for a, b in placement.untold:
         warnings.append(
-            f"cannot tell the time offset of {camera_list([names[a], names[b]])}: their timestamps are apart by more "
-            f"than the {LONGEST_S:g} s that are searched, or the person moved too evenly to tell; put their clocks in "
-            "step, and walk in turns and straight lines with the arms moving"
+            f"cannot tell the time offset of {camera_list([names[a], names[b]])}: their clocks jump, or the person "
+            "moved too evenly or too little to tell; put their clocks in step, and walk in turns and straight lines "
+            "with the arms moving"
         )
     for name, offset_s in late_cameras(names, placement).items():
         error_s = placement.offset_sigma_s[names.index(name)]
