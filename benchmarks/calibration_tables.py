@@ -1,4 +1,4 @@
-"""Table of docs/results/calibration.md: errors of calibration against the truth."""
+"""Tables of docs/results/calibration.md: errors of calibration against the truth, and clocks put in step."""
 
 from __future__ import annotations
 
@@ -6,15 +6,20 @@ from typing import Any
 
 import numpy as np
 from measurements import Measurement, Scale
+from sync_table import sync_table
 
 PAGES = ("docs/results/calibration.md",)
 _KINDS = ("3 cameras", "2 cameras, 90° apart")
 
 
 def measurements(clips: str, scale: Scale) -> dict[str, Measurement]:
-    """By name: the command that this table names."""
-    words = ("calibration_trial.py", "{folder}")
-    return {"calibration": Measurement((*words, "--seconds", "10") if scale.quick else words, "trial.json")}
+    """By name: the commands that these tables name."""
+    words, few = ("calibration_trial.py", "{folder}"), ("--seeds", "1", "--pairs", "1", "--depth-kinds", "line")
+    sync = ("sync_trial.py", "{folder}")
+    return {
+        "calibration": Measurement((*words, "--seconds", "10") if scale.quick else words, "trial.json"),
+        "sync": Measurement((*sync, *few) if scale.quick else sync, "sync.json"),
+    }
 
 
 def trial(numbers: dict[str, Any]) -> list[str]:
@@ -41,4 +46,9 @@ def trial(numbers: dict[str, Any]) -> list[str]:
     return lines
 
 
-TABLES = {"calibration": trial}
+def clocks(numbers: dict[str, Any]) -> list[str]:
+    """A row for each kind of movement."""
+    return sync_table(numbers["sync"])
+
+
+TABLES = {"calibration": trial, "sync": clocks}

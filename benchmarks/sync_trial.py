@@ -16,6 +16,7 @@ from calibration_trial_scene import MotionKind, TrialScene
 from jaxtyping import Float
 from numpy import ndarray
 from rich.console import Console
+from sync_table import sync_table
 from sync_trial_tracks import camera_pose, simulated_track, true_joints
 
 from depthmocap.calibration.clock_steps import find_step
@@ -86,29 +87,9 @@ def run_sync_trial(trial: SyncTrial, console: Console) -> list[dict[str, Any]]:
             rows.append({"kind": kind, "from": "depth", **_compare(a, b, _LATE_S, shared_s, rng)})
         _tell(kind, rows, console)
     write_json(trial.out / "sync.json", rows)
-    console.print("\n".join(sync_table(rows)))
+    for line in sync_table(rows):
+        console.print(line, soft_wrap=True)
     return rows
-
-
-def sync_table(rows: list[dict[str, Any]]) -> list[str]:
-    """A row for each kind of movement and source of tracks."""
-    lines = [
-        "| | pairs | within 5 ms | within 40 ms | wrong, not told | of these one stride aside | cannot tell | ± held |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for source, kind in dict.fromkeys((row["from"], row["kind"]) for row in rows):
-        some = [row for row in rows if (row["from"], row["kind"]) == (source, kind)]
-        told = [row for row in some if row["told"]]
-        errors_s = np.array([abs(row["error_s"]) for row in told])
-        wrong = errors_s > 0.04
-        stride = wrong & (errors_s > 0.25) & (errors_s < 1.8)
-        held = sum(abs(row["error_s"]) <= 3 * row["sigma_s"] for row in told)
-        cells = (
-            len(some), int((errors_s <= 0.005).sum()), int((~wrong).sum()), int(wrong.sum()), int(stride.sum()),
-            len(some) - len(told), f"{held} of {len(told)}",
-        )  # fmt: skip
-        lines.append(f"| {kind}, {source} | {' | '.join(map(str, cells))} |")
-    return lines
 
 
 def _tell(kind: str, rows: list[dict[str, Any]], console: Console) -> None:

@@ -77,7 +77,14 @@ def _calibration() -> dict[str, Any]:
          "joints cm, found rig"), 1.26,
     )  # fmt: skip
     row = {**numbers, "most mm": 2.06, "most degrees": 0.04, "grade": "good"}
-    return {"calibration": [{**row, "scene": scene} for scene in ("3 cameras", "4 cameras", "2 cameras, 90° apart")]}
+    pair = {"told": True, "error_s": 0.004, "sigma_s": 0.002, "jump": False}
+    kinds = ("about", "circle", "line", "clockwork", "arms")
+    simulated = [{**pair, "from": "simulated", "kind": kind} for kind in kinds]
+    depth = [{**pair, "from": "depth", "kind": kind} for kind in ("circle", "line", "arms")]
+    return {
+        "calibration": [{**row, "scene": scene} for scene in ("3 cameras", "4 cameras", "2 cameras, 90° apart")],
+        "sync": [*simulated, *depth],
+    }
 
 
 def _speed() -> dict[str, Any]:

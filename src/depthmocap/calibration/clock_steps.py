@@ -75,8 +75,10 @@ def _aside_s(scores: Float[ndarray, " n"], asides_s: Float[ndarray, " n"]) -> fl
     """How far from the take's offset a window fits best: 0 if near, NaN if it cannot be told (seconds)."""
     scores = np.where(np.abs(asides_s) <= _FARTHEST_S, scores, -np.inf)
     best = int(scores.argmax())
-    expected = max(float(scores[np.abs(asides_s) <= _APART_S].max(initial=0.0)), 0.0)
-    if not scores[best] > _LEAST_LIKENESS:
+    near = scores[np.abs(asides_s) <= _APART_S]
+    expected = float(near.max(initial=-np.inf))
+    # Where the other camera does not see the person at the take's offset, some other moment is always alike.
+    if not np.isfinite(expected) or not scores[best] > _LEAST_LIKENESS:
         return float("nan")
     if abs(asides_s[best]) <= _APART_S:
         return 0.0
