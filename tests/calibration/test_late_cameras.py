@@ -79,10 +79,11 @@ def joint_error_cm(path: Path, rig: Path) -> float:
     stamps = np.array(list(truth))
     found, true = [], []
     for frames in recording:
-        nearest = stamps[np.abs(stamps - frames.timestamp_ns).argmin()]
-        if abs(nearest - frames.timestamp_ns - 1e9 * recording.rig["cam0"].time_offset_s) < 6e7:
+        recorded_ns = frames.timestamp_ns - recording.rig["cam0"].time_offset_ns
+        nearest = int(stamps[np.abs(stamps - recorded_ns).argmin()])
+        if abs(nearest - recorded_ns) < 6e7:
             found.append(pipeline(frames).pose.joints)
-            true.append(truth[int(nearest)])
+            true.append(truth[nearest])
     joints, expected = np.concatenate(found), np.concatenate(true)
     known = np.isfinite(joints).all(1)
     moved = transform_points(align(expected[known], joints[known], np.ones(int(known.sum()))), joints[known])
