@@ -16,10 +16,12 @@ from scipy.spatial.transform import Rotation
 from depthmocap.geometry import Rig, look_at
 from depthmocap.recordings.recording_writer import RecordingWriter
 from depthmocap.synth.body.bones import POSTURE_INDEX
+from depthmocap.synth.body.mesh import Body, BodyModel
 from depthmocap.synth.motion.perform import Motion, pose_sequence
 from depthmocap.synth.motion.stroll import Stop, stroll
-from depthmocap.synth.people.bodies import random_dressed_body
-from depthmocap.synth.people.garments import DressedBody
+from depthmocap.synth.people.bodies import random_dressed_body, random_phenotype
+from depthmocap.synth.people.garments import DressedBody, clothe
+from depthmocap.synth.people.wardrobe import random_clothes
 from depthmocap.synth.render import render_person
 from depthmocap.synth.scenes.room import Box, Room, render_room, shelf, table
 from depthmocap.synth.sensing.sensor import sense
@@ -68,6 +70,7 @@ class TrialScene:
         out_of_step_s: how much later than its timestamps each camera captures.
         room: whether there is a room around the person; otherwise the sensors read nothing behind them.
         motion: how the person moves.
+        stature_m: height of the body; any without.
     """
 
     azimuths_deg: tuple[float, ...] = (10.0, 125.0, 245.0)
@@ -77,6 +80,7 @@ class TrialScene:
     room: bool = True
     seed: int = 0
     motion: MotionKind = "about"
+    stature_m: float | None = None
 
     def write(self, path: Path) -> Rig:
         """Write the recording, its rig.json without the truth (all cameras at the origin); returns the true rig."""
@@ -86,7 +90,7 @@ class TrialScene:
             preset.camera(f"cam{i}", _mount(rng, azimuth))
             for i, (azimuth, preset) in enumerate(zip(self.azimuths_deg, presets, strict=True))
         ))  # fmt: skip
-        dressed = random_dressed_body(rng, "open")
+        dressed = random_dressed_body(rng, "open") if self.stature_m is None else body_of(self.stature_m, rng)
         times_s = np.arange(round(self.seconds * self.rate_hz)) / self.rate_hz
         motion = person_motion(rng, dressed, self.motion, self.seconds + 2)
         offsets_s = self.out_of_step_s or (0.0,) * len(rig.cameras)
@@ -110,6 +114,20 @@ class TrialScene:
                     frames[camera.name] = np.round(depth_m / camera.depth_unit_m).astype(np.uint16)
                 writer.write(round(float(time_s) * 1e9), frames, posed[0.0].joints)
         return rig
+
+
+def body_of(stature_m: float, rng: np.random.Generator) -> DressedBody:
+    """A dressed body of this height: a child below about 1.5 m, by its age and not by its scale."""
+    phenotype = random_phenotype(rng, children=False)
+    model = BodyModel.load()
+
+    def shaped(age: float) -> Body:
+        return model.shape(dataclasses.replace(phenotype, age=age, height=0.5))
+
+    ages = np.linspace(0.05, 0.6, 23)
+    statures = [float(np.ptp(shaped(age).rest_vertices[:, 2])) for age in ages]
+    age = float(ages[int(np.argmin(np.abs(np.array(statures) - stature_m)))])
+    return clothe(shaped(age), random_clothes(rng, False, phenotype.gender), rng)
 
 
 def _mount(rng: np.random.Generator, azimuth_deg: float) -> Float[ndarray, "4 4"]:

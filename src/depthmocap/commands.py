@@ -122,7 +122,7 @@ GROUPS: dict[str, tuple[Command, ...]] = {
     "Recordings": (
         Command(
             "info",
-            "depthmocap.recordings.convert",
+            "depthmocap.offline.info_command",
             "InfoSettings",
             "info",
             "what is in a recording",

@@ -128,11 +128,19 @@ def test_to_metres() -> None:
     np.testing.assert_allclose(metres, [[0, 1.2345, 0]])
 
 
+def test_to_metres_mends_pictures() -> None:
+    camera = make_camera(depth_unit_m=0.0001, depth_factor=4.0, mirrored=True)
+    metres = camera.to_metres(np.array([[0, 12345, 65535, 20]], dtype=np.uint16))
+    np.testing.assert_allclose(metres, [[0.008, 0, 4.938, 0]])
+
+
 def test_rig_round_trip(tmp_path: Path) -> None:
     lens = LENSES["kinect 2"]
     rig = Rig(
         (make_camera("left", distortion=lens, depth_unit_m=0.0002, time_offset_s=-0.125), make_camera("right")), "-y"
     )
+    mended = dataclasses.replace(rig["right"], depth_factor=4.0, mirrored=True)
+    rig = Rig((rig["left"], mended), rig.up)
     save_rig(rig, tmp_path / "rig.json")
     loaded = load_rig(tmp_path / "rig.json")
     assert loaded.names == ("left", "right")
@@ -205,6 +213,8 @@ def _mirrored(document: dict[str, Any]) -> None:
         (lambda d: d["cameras"][1].update(width=60000, height=60000), "picture is 60000×60000.*at most 64 million"),
         (_set("time_offset_s", 4000), "time_offset_s must be -3600 to 3600 seconds, got 4000"),
         (_set("time_offset_s", "late"), "time_offset_s"),
+        (_set("depth_factor", 0), "depth_factor must be 0.001 to 1000, got 0"),
+        (_set("mirrored", 1), "mirrored must be true or false, got 1"),
         (_set("depth_unit_m", 0), "depth_unit_m must be 1e-07 to 1 metres, got 0"),
         (_set("distortion", [0.1, 0.2]), r"distortion \[k1, k2, p1, p2, k3\] must be 5 numbers"),
         (_set("distortion", {"k1": 0.1}), r"distortion \[k1, k2, p1, p2, k3\] must be 5 numbers"),

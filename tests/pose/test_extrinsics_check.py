@@ -155,7 +155,11 @@ def shifted(pose: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("pose", "message"),
-    [(None, None), (shifted, "more than 10 cm from where the others do"), (rigid_inverse, "next to nothing")],
+    [
+        (None, None),
+        (shifted, "stands elsewhere than the rig says, by 0° and 15 cm where the person is, against"),
+        (rigid_inverse, "is camera_from_world, the inverse: with [["),
+    ],
 )
 def test_run_tells_of_a_rig_that_is_wrong(short, tmp_path, capsys, pose, message) -> None:
     rig = load_rig(short / "rig.json")
@@ -169,4 +173,4 @@ def test_run_tells_of_a_rig_that_is_wrong(short, tmp_path, capsys, pose, message
     else:
         (problem,) = summary["problems"]
         assert message in problem["text"] and repr(rig.names[1]) in problem["text"]
-        assert "calibrate" in capsys.readouterr().err
+        assert problem["text"][:40] in " ".join(capsys.readouterr().err.split())

@@ -17,10 +17,11 @@ from depthmocap.cameras.source import CameraError, DepthFrame, DepthSource, Fram
 from depthmocap.core.console import Terminal
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, look_at
+from depthmocap.offline.info_command import InfoSettings, info
 from depthmocap.realtime import record as record_module
 from depthmocap.realtime.record import RecordSettings, record
 from depthmocap.realtime.replay import ReplaySettings, play, replay
-from depthmocap.recordings.convert import ConvertSettings, InfoSettings, RecoverSettings, convert, info, recover
+from depthmocap.recordings.convert import ConvertSettings, RecoverSettings, convert, recover
 from depthmocap.recordings.depth_codec import CODINGS, Coding
 from depthmocap.recordings.mcap_recording import McapRecording
 from depthmocap.recordings.mcap_writer import Topics
@@ -39,6 +40,7 @@ def folder(tmp_path: Path) -> Path:
         DepthCamera(
             "b", 16, 12, 15.0, 15.0, 8.0, 6.0,
             distortion=(0.1, 0.2, 0.0, 0.0, 0.3), depth_unit_m=0.00025, time_offset_s=-0.01,
+            depth_factor=4.0, mirrored=True,
         ),
     )  # fmt: skip
 

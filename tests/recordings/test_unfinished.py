@@ -23,7 +23,8 @@ from full_disk import files_of_at_most
 from depthmocap.cli import main
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
-from depthmocap.recordings.convert import ConvertSettings, InfoSettings, RecoverSettings, convert, info, recover
+from depthmocap.offline.info_command import InfoSettings, info
+from depthmocap.recordings.convert import ConvertSettings, RecoverSettings, convert, recover
 from depthmocap.recordings.recording import Recording
 from depthmocap.recordings.recording_writer import RecordingWriter
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,18 +12,18 @@ import tyro
 from jaxtyping import Float
 from numpy import ndarray
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.calibration.calibration_page import draw_clouds, pair_table, write_page
 from depthmocap.calibration.camera_placement import Placement, mean_joints, place_cameras, why_unreliable
 from depthmocap.calibration.lateness_by_motion import find_jumps, jump_lines
-from depthmocap.calibration.observations import Observation, observe, subsample_timestamps
+from depthmocap.calibration.observations import Observation
 from depthmocap.calibration.refine import RefinedPlacement, refine
+from depthmocap.calibration.rig_check import RigCheck, check_rig, tell_check
+from depthmocap.calibration.sighting import Sighting, cameras_left_out, mended_rig, see_person, without
 from depthmocap.calibration.upright import Upright, find_upright
 from depthmocap.calibration.verdict import PairVerdict, find_warnings, judge_pairs, late_cameras
-from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
 from depthmocap.core.network_devices import NetworkSettings, networks_on
@@ -30,11 +31,10 @@ from depthmocap.core.output import check_outputs, write_json
 from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError
 from depthmocap.frames import View
-from depthmocap.geometry import Rig, save_rig, transform_points, z_up_from
+from depthmocap.geometry import Rig, load_rig, save_rig, transform_points, z_up_from
 from depthmocap.geometry.depth_camera import time_offsets_s
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.recordings.recording import Recording
-from depthmocap.segment.static_scene import PersonSegmenter
 from depthmocap.text import camera_list, joined, offset_lines
 
 _GRADES = ("good", "fair", "poor")
@@ -47,7 +47,8 @@ _FLOORS = {
 
 @dataclasses.dataclass(frozen=True)
 class CalibrateSettings(NetworkSettings):
-    """Estimate the extrinsics from a person who walks about in front of the cameras for 20 to 60 s and moves the arms.
+    """Estimate the extrinsics from a person who walks about in front of the cameras for 20 to 60 s and moves the arms,
+    or check those of a rig.
 
     Attributes:
         recording: a recording folder or an MCAP file; the extrinsics in its rig matter only for the picture "before".
@@ -57,6 +58,10 @@ class CalibrateSettings(NetworkSettings):
         segment: "auto" finds the person in a static scene; "none" takes every valid pixel.
         rate_hz: most frames per second of a camera that are used.
         weights: a classifier.onnx of your own.
+        check: a rig.json that is compared with what the recording says: how far off each camera is, and whether it is
+            good, bumped or not known. No rig is written.
+        mend: write into the rig what mends wrong depth units and mirrored pictures. Otherwise they are named, and their
+            cameras left out.
     """
 
     recording: tyro.conf.Positional[Path]
@@ -66,6 +71,8 @@ class CalibrateSettings(NetworkSettings):
     segment: Literal["auto", "none"] = "auto"
     rate_hz: float = 10.0
     weights: Path | None = None
+    check: Path | None = None
+    mend: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -95,6 +102,7 @@ class Calibration:
             it cannot be told of all.
         trajectory: positions of the pelvis in the world (metres).
         clouds: points of the empty scene by placed camera, in the camera's frame (metres).
+        check: how far the cameras of an existing rig are off, if one is checked.
     """
 
     rig: Rig
@@ -105,6 +113,7 @@ class Calibration:
     offset_s: dict[str, float]
     trajectory: Float[ndarray, "n 3"]
     clouds: dict[str, Float[ndarray, "_ 3"]]
+    check: RigCheck | None = None
 
     @property
     def grade(self) -> str:
@@ -122,37 +131,49 @@ def find_rig(recording: Recording, settings: CalibrateSettings, console: Console
     names = recording.rig.names
     if len(names) < 2:
         raise InputError(f"{recording.path} has one camera ({', '.join(names)}): a calibration needs two or more")
-    with console.status("reading the background and the weights"), networks_on(settings.device) as devices:
-        classifier = Classifier(settings.weights)
-        segmenter = PersonSegmenter.from_recording(recording, settings.segment)
+    rng = np.random.default_rng(settings.seed)
+    fault_rng = np.random.default_rng([settings.seed, 1])
+    mended: list[str] = []
+    with networks_on(settings.device) as devices:
+        sighting = _see(recording, settings, fault_rng, console)
+        if settings.mend and any(fault.certain for fault in sighting.faults):
+            mended = [f"mended: {fault.text}" for fault in sighting.faults if fault.certain]
+            recording = open_recording(recording.path, mended_rig(recording.rig, sighting.faults))
+            sighting = _see(recording, settings, fault_rng, console)
     for line in devices.lines():
         console.print(f"  {line}")
-    if not classifier.predicts_joints:
-        raise InputError(f"{classifier.path} is a network that tells no joints, which a calibration is made of")
-    total = sum(len(subsample_timestamps(recording.stamps(name), settings.rate_hz)) for name in names)
-    with Progress(console=console, transient=True) as progress:
-        task = progress.add_task("looking", total=total)
-        observations = observe(recording, classifier, segmenter, settings.rate_hz, lambda: progress.advance(task))
-    rng = np.random.default_rng(settings.seed)
     with console.status("placing the cameras"):
-        return solve_rig(str(recording.path), observations, [*segmenter.problems, *recording.problems], rng)
+        what, problems = str(recording.path), [*mended, *sighting.notes, *sighting.problems, *recording.problems]
+        return solve_rig(what, sighting.observations, problems, rng, cameras_left_out(what, sighting))
 
 
-def solve_rig(what: str, observations: list[Observation], problems: list[str], rng: np.random.Generator) -> Calibration:
+def _see(recording: Recording, settings: CalibrateSettings, rng: np.random.Generator, console: Console) -> Sighting:
+    return see_person(recording, settings.segment, settings.weights, settings.rate_hz, rng, console)
+
+
+def solve_rig(
+    what: str,
+    observations: list[Observation],
+    problems: list[str],
+    rng: np.random.Generator,
+    left_out: Mapping[str, str] | None = None,
+) -> Calibration:
     """Estimate the extrinsics from what cameras saw of a person.
 
     Args:
         what: where it was seen, for messages.
         problems: what makes good masks unlikely, and what is wrong with the frames.
+        left_out: cameras that are not to be placed, with the reason.
 
     Raises:
         InputError: when nobody was seen, or no two cameras see the same person often enough.
     """
+    left_out = left_out or {}
     names = tuple(observation.camera.name for observation in observations)
     if not any(len(observation.track.times_s) > 1 for observation in observations):
         hint = joined(problems) or "one person must walk about in view; try --segment none where there is no room"
         raise InputError(f"{what}: no person was found in any of {sum(s.frames for s in observations)} frames: {hint}")
-    placement = place_cameras([observation.track for observation in observations], rng)
+    placement = place_cameras(without(left_out, names, [observation.track for observation in observations]), rng)
     if len(placement.cameras) < 2:
         raise InputError(f"{what}: {_no_pair_message(names, observations, placement)}")
     placed = [observations[camera] for camera in placement.cameras]
@@ -171,7 +192,7 @@ def solve_rig(what: str, observations: list[Observation], problems: list[str], r
     hips = mean_joints(refined.poses, placement.skeletons)[:, JOINT_INDEX["Hip"]]
     trajectory = transform_points(upright.world_from_old, hips[np.isfinite(hips).all(1)])
     unplaced = {
-        name: _why_unplaced(index, names, observations, placement)
+        name: left_out.get(name) or _why_unplaced(index, names, observations, placement)
         for index, name in enumerate(names)
         if index not in placement.cameras
     }
@@ -229,6 +250,8 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
         InputError: when the recording cannot be read, cameras cannot be placed, or files cannot be written.
     """
     console = console or Terminal()
+    if settings.check is not None:
+        return _check(settings, load_rig(settings.check), console)
     recording = open_recording(settings.recording)
     check_outputs(
         {"--out": settings.out, "--report": settings.page, "--json": settings.json},
@@ -264,6 +287,23 @@ def calibration_lines(calibration: Calibration, cameras: int) -> list[str]:
         *(f"Noticed: {warning}." for warning in calibration.warnings),
         *(f"{line}."[0].upper() + f"{line}."[1:] for line in offset_lines(time_offsets_s(calibration.rig.cameras))),
     ]
+
+
+def _check(settings: CalibrateSettings, rig: Rig, console: Console) -> Calibration:
+    """Compare a rig with what the recording says, and print the verdict."""
+    if settings.mend:
+        raise InputError("--mend is for a rig that is written, and --check writes none")
+    check_outputs(
+        {"--json": settings.json}, {"the recording": settings.recording, "the file of --check": settings.check}
+    )
+    found = find_rig(open_recording(settings.recording, rig), settings, console)
+    # Intrinsics and what mends pictures are the rig's already, and so is what moves timestamps.
+    check = check_rig(rig, found.rig, found.pairs, found.trajectory, found.unplaced, found.warnings)
+    found = dataclasses.replace(found, check=check)
+    if settings.json is not None:
+        write_json(settings.json, {**_as_json(found), "check": dataclasses.asdict(check)})
+    tell_check(check, console)
+    return found
 
 
 def _headline(calibration: Calibration, cameras: int) -> str:

@@ -4,12 +4,13 @@ scene."""
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from depthmocap.calibration.first_look import FirstLook, joints_in
 from depthmocap.calibration.joint_tracks import JointTrack
 from depthmocap.calibration.surfaces import Surface, extract_surface
 from depthmocap.classify.classifier import Classifier
@@ -21,6 +22,8 @@ from depthmocap.segment.static_scene import PersonSegmenter
 
 #: Least visible area of the person (m²): a view with less shows too little of them.
 LEAST_PERSON_M2 = 0.12
+#: Of somebody smaller than this (metres), by as much less.
+_GROWN_M = 1.4
 #: The person's surface is kept once in each interval of this length (seconds),
 MOMENT_S = 0.4
 #: with at most this many points.
@@ -64,7 +67,15 @@ class CameraObserver:
         times_s: of the frames that show the person.
     """
 
-    def __init__(self, camera: DepthCamera, classifier: Classifier, segmenter: PersonSegmenter) -> None:
+    def __init__(
+        self, camera: DepthCamera, classifier: Classifier, segmenter: PersonSegmenter, look: FirstLook | None = None
+    ) -> None:
+        """``look`` tells which way up the pictures are, and how tall the person is: by default upright and grown up."""
+        look = look or FirstLook()
+        self._quarters = look.quarters
+        self._least_m2 = LEAST_PERSON_M2
+        if look.stature_m < _GROWN_M:  # not where it is not known
+            self._least_m2 *= (look.stature_m / _GROWN_M) ** 2
         self.camera = dataclasses.replace(camera, world_from_camera=np.eye(4))
         self.segmenter, self._classifier = segmenter, classifier
         self.frames = 0
@@ -76,11 +87,10 @@ class CameraObserver:
         """Look at a frame (metres); gives the person's mask, None if too little of them is seen."""
         self.frames += 1
         view = View(self.camera, depth_m)
-        if (mask := _person_mask(view, self.segmenter)) is None:
+        if (mask := _person_mask(view, self.segmenter, self._least_m2)) is None:
             return None
-        (prediction,) = self._classifier.label_views([view], [mask])
         self.times_s.append(time_s)
-        self._joints.append(prediction.joints)
+        self._joints.append(joints_in(view, mask, self._classifier, self._quarters))
         moment = int(time_s // MOMENT_S)
         if moment not in self._person:
             surface = extract_surface(self.camera, depth_m, _PERSON_STRIDE, mask)
@@ -106,16 +116,18 @@ def observe(
     segmenter: PersonSegmenter,
     rate_hz: float,
     on_frame: Callable[[], None],
+    looks: Mapping[str, FirstLook] | None = None,
 ) -> list[Observation]:
     """The observations of every camera.
 
     Args:
         rate_hz: most frames per second that are processed.
+        looks: which way up the pictures are, and how tall the person is, by camera; upright and grown up by default.
         on_frame: called after every frame.
     """
     observations = []
     for camera in recording.rig.cameras:
-        observer = CameraObserver(camera, classifier, segmenter)
+        observer = CameraObserver(camera, classifier, segmenter, looks[camera.name] if looks else None)
         for timestamp_ns in subsample_timestamps(recording.stamps(camera.name), rate_hz):
             try:
                 depth_m = camera.to_metres(recording.raw(camera.name, timestamp_ns))
@@ -128,11 +140,11 @@ def observe(
     return observations
 
 
-def _person_mask(view: View, segmenter: PersonSegmenter) -> Bool[ndarray, "h w"] | None:
+def _person_mask(view: View, segmenter: PersonSegmenter, least_m2: float) -> Bool[ndarray, "h w"] | None:
     """The person's mask; None if it shows too little of them."""
     mask = segmenter(view)
     area_m2 = float((view.depth_m[mask] ** 2).sum()) / (view.camera.fx * view.camera.fy)
-    return mask if area_m2 >= LEAST_PERSON_M2 else None
+    return mask if area_m2 >= least_m2 else None
 
 
 def subsample_timestamps(timestamps: list[int], rate_hz: float) -> list[int]:

@@ -78,8 +78,10 @@ def estimate_pair(
     joints: tuple[Float[ndarray, "n 18 3"], Float[ndarray, "n 18 3"]],
     sigma_m: tuple[Float[ndarray, "n 18"], Float[ndarray, "n 18"]],
     rng: np.random.Generator,
+    fits: int = _FITS,
 ) -> CameraPair | None:
-    """The relative pose of two cameras from their skeletons at the same times; None without a common frame."""
+    """The relative pose of two cameras from their skeletons at the same times, from the best of so many initial fits;
+    None without a common frame."""
     common = usable_joints(joints[0], sigma_m[0]) & usable_joints(joints[1], sigma_m[1])
     common &= common.sum(1, keepdims=True) >= LEAST_JOINTS
     frames = np.flatnonzero(common.any(1))
@@ -93,7 +95,7 @@ def estimate_pair(
         return np.linalg.norm(a - transform_points(a_from_b, b), axis=1) / expected
 
     a_from_b, best_score = np.eye(4), -1.0
-    for _ in range(_FITS):
+    for _ in range(fits):
         chosen = np.isin(frame_of, rng.choice(frames, min(_FRAMES, len(frames)), replace=False))
         candidate = align(a[chosen], b[chosen], 1 / expected[chosen] ** 2)
         if (score := float(geman_mcclure(ratios(candidate)).sum())) > best_score:

@@ -31,6 +31,8 @@ _FOCAL_PX = (1.0, 1e6, "pixels")
 _CENTRE_PX = (-1e6, 1e6, "pixels")
 #: Range of the length of a depth unit.
 _UNIT_M = (1e-7, 1.0, "metres")
+#: Range of factors on a camera's depth.
+_FACTOR = (1e-3, 1e3, "")
 #: Range of time offsets.
 _OFFSET_S = (-3600.0, 3600.0, "seconds")
 #: Least share of the image in which a lens model must be invertible: the widest mode of an Azure Kinect has a half.
@@ -46,7 +48,9 @@ class DepthCamera:
     """A calibrated depth camera. Camera frame: x right, y down, z forward; an integer pixel is its centre.
 
     ``distortion`` is OpenCV's (k1, k2, p1, p2, k3). ``depth_unit_m`` is the length of one raw depth unit.
-    ``time_offset_s`` is to be added to the camera's timestamps, where frames become sets.
+    ``time_offset_s`` is to be added to the camera's timestamps, where frames become sets. :meth:`to_metres` mends
+    pictures: by ``depth_factor`` on the depth unit that the device tells, and by exchanging left and right where they
+    come ``mirrored``. All else, the intrinsics too, is of the mended pictures.
     """
 
     name: str
@@ -60,6 +64,8 @@ class DepthCamera:
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     depth_unit_m: float = 0.001
     time_offset_s: float = 0.0
+    depth_factor: float = 1.0
+    mirrored: bool = False
 
     def __post_init__(self) -> None:
         """Raises InputError for an invalid name."""
@@ -170,8 +176,10 @@ class DepthCamera:
         return round(float(np.arctan2(right, -down)) / (np.pi / 2)) % 4
 
     def to_metres(self, raw: UInt16[ndarray, "h w"]) -> Float[ndarray, "h w"]:
-        """Raw sensor depth in metres (float32). Raw 0 and the saturated 65535 are invalid: 0."""
-        return np.where(raw == 65535, 0, raw).astype(np.float32) * np.float32(self.depth_unit_m)
+        """Raw sensor depth in metres (float32), mended. Raw 0 and the saturated 65535 are invalid: 0."""
+        unit_m = np.float32(self.depth_unit_m * self.depth_factor)
+        depth_m = np.where(raw == 65535, 0, raw).astype(np.float32) * unit_m
+        return np.ascontiguousarray(depth_m[:, ::-1]) if self.mirrored else depth_m
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -210,6 +218,10 @@ def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
     numbers = {key: number(entry[key], f"{where}: {key}") for key in ("fx", "fy", "cx", "cy")}
     unit = number(entry.get("depth_unit_m", 0.001), f"{where}: depth_unit_m")
     offset_s = number(entry.get("time_offset_s", 0.0), f"{where}: time_offset_s")
+    factor = number(entry.get("depth_factor", 1.0), f"{where}: depth_factor")
+    mirrored = entry.get("mirrored", False)
+    if not isinstance(mirrored, bool):
+        raise InputError(f"{where}: mirrored must be true or false, got {mirrored!r}")
     distortion = array(entry.get("distortion", [0.0] * 5), (5,), f"{where}: distortion [k1, k2, p1, p2, k3]").tolist()
     pose = array(entry.get("world_from_camera", np.eye(4).tolist()), (4, 4), f"{where}: world_from_camera")
     k1, k2, p1, p2, k3 = distortion
@@ -221,6 +233,7 @@ def _parse_camera(entry: Any, path: Path, index: int) -> DepthCamera:
     camera = DepthCamera(
         name, width, height, **numbers, world_from_camera=pose,
         distortion=(k1, k2, p1, p2, k3), depth_unit_m=unit, time_offset_s=offset_s,
+        depth_factor=factor, mirrored=mirrored,
     )  # fmt: skip
     check_camera(camera, where)
     return camera
@@ -239,11 +252,12 @@ def check_camera(camera: DepthCamera, where: str) -> None:
     check_picture_size(camera.width, camera.height, f"{where}: the picture")
     bounds = {
         "fx": _FOCAL_PX, "fy": _FOCAL_PX, "cx": _CENTRE_PX, "cy": _CENTRE_PX, "depth_unit_m": _UNIT_M,
-        "time_offset_s": _OFFSET_S,
+        "time_offset_s": _OFFSET_S, "depth_factor": _FACTOR,
     }  # fmt: skip
     for key, (least, most, unit) in bounds.items():
         if not least <= getattr(camera, key) <= most:
-            raise InputError(f"{where}: {key} must be {least:g} to {most:g} {unit}, got {getattr(camera, key):g}")
+            bounds_text = f"{least:g} to {most:g} {unit}".rstrip()
+            raise InputError(f"{where}: {key} must be {bounds_text}, got {getattr(camera, key):g}")
     if not np.isfinite(camera.distortion).all():
         raise InputError(f"{where}: distortion must be finite numbers, got {list(camera.distortion)}")
     if not is_rigid(camera.world_from_camera):
@@ -301,7 +315,8 @@ def load_rig(path: Path) -> Rig:
     positions = np.stack([camera.world_from_camera[:3, 3] for camera in cameras])
     if (distance_m := float(np.linalg.norm(positions - positions[0], axis=1).max())) > LARGEST_RIG_M:
         raise InputError(
-            f"{path}: two cameras are {distance_m:,.0f} m apart; the places in world_from_camera must be in metres"
+            f"{path}: two cameras are {distance_m:,.0f} m apart; the places in world_from_camera must be in metres "
+            f"(divided by 1000, if they are in millimetres, {distance_m / 1000:.1f} m)"
         )
     return Rig(cameras, check_up(document.get("up", "z"), str(path)))
 
@@ -329,6 +344,8 @@ def save_rig(rig: Rig, path: Path) -> None:
             "distortion": list(camera.distortion),
             "depth_unit_m": camera.depth_unit_m,
             **({"time_offset_s": camera.time_offset_s} if camera.time_offset_s else {}),
+            **({"depth_factor": camera.depth_factor} if camera.depth_factor != 1 else {}),
+            **({"mirrored": True} if camera.mirrored else {}),
             "world_from_camera": camera.world_from_camera.tolist(),
         }
         for camera in rig.cameras

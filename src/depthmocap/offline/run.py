@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from depthmocap.body.skeleton import JOINTS
+from depthmocap.calibration.rig_watch import RigWatch
 from depthmocap.core.console import Terminal
 from depthmocap.core.interrupts import deferred_interrupts
 from depthmocap.core.locks import locks_outputs
@@ -31,11 +32,13 @@ from depthmocap.geometry.depth_camera import time_offsets_s
 from depthmocap.offline.pipeline import STAGES, Pipeline, Result, warm_up
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline, open_source
 from depthmocap.offline.run_report import Pictures, write_run_report
-from depthmocap.pose.extrinsics_check import ExtrinsicsCheck
 from depthmocap.recordings.recording import Recording
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
 from depthmocap.segment.load_segmenter import Segmentation
 from depthmocap.text import camera_list, joined, offset_lines
+
+#: Frames of each camera that are looked at again if something is wrong.
+_SETS_CHECKED = 60
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,13 +106,14 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
             console.print(f"stopped after {capture.done} of {len(source)} frames; writing what was done")
         people_files.write(pipeline.finish_people())
         capture.finish()
+        misplaced = list(dict.fromkeys(capture.misplaced))
+        if not interrupted and (misplaced or not capture.seen):
+            misplaced = _why_misplaced(source, settings, console) or misplaced
         files.numbers = {
             **capture.numbers(),
             "time_offsets_s": time_offsets_s(source.rig.cameras) if isinstance(source, Recording) else {},
             "interrupted": interrupted,
-            "problems": count_problems(
-                dict.fromkeys(capture.misplaced), source.problems, pipeline.segment.problems, people_files.problems
-            ),
+            "problems": count_problems(misplaced, source.problems, pipeline.segment.problems, people_files.problems),
         }
     if interrupted and not capture.done:
         raise KeyboardInterrupt
@@ -159,7 +163,7 @@ class _Capture:
         self._milliseconds: list[dict[str, float]] = []
         self._by_camera: dict[str, int] = dict.fromkeys(source.camera_names, 0)
         self._by_person: collections.Counter[str] = collections.Counter()
-        self._extrinsics_check = ExtrinsicsCheck()
+        self._rig_watch = RigWatch(source.up)
         self.truths: list[Float[ndarray, "18 3"]] = []
         self.misplaced: list[str] = []
 
@@ -167,6 +171,11 @@ class _Capture:
     def done(self) -> int:
         """Frames whose pose is final."""
         return len(self._poses)
+
+    @property
+    def seen(self) -> bool:
+        """Whether anybody was found."""
+        return any(np.isfinite(pose.joints).any() for pose in self._poses)
 
     @property
     def joints(self) -> list[Float[ndarray, "18 3"]]:
@@ -177,7 +186,7 @@ class _Capture:
         """Take the next frames; gives the milliseconds that they took, with those of reading them."""
         result = self._pipeline(frames)
         self._waiting.append((frames, result, {"read": read_ms, **result.milliseconds}))
-        self.misplaced += self._extrinsics_check(result.cloud)
+        self.misplaced += self._rig_watch(frames, result.cloud)
         self._by_person.update(str(person.number) for person in result.people)
         if self._people_files is not None:
             self._people_files.write(result.final)
@@ -193,7 +202,7 @@ class _Capture:
             # An interruption may have come between the filter and the frames that wait.
             if self._waiting and self._waiting[0][0].timestamp_ns == pose.timestamp_ns:
                 self._add_final(pose)
-        self.misplaced += self._extrinsics_check.finish()
+        self.misplaced += self._rig_watch.finish()
 
     def _add_final(self, pose: Pose) -> None:
         with deferred_interrupts():
@@ -215,9 +224,21 @@ class _Capture:
             **_speed(self._milliseconds),
             "smoothing": smoothing.describe() if smoothing else None,
             "devices": self._pipeline.devices.running,
-            "cameras_apart_cm": {name: 100 * apart_m for name, apart_m in self._extrinsics_check.distances_m().items()},
+            "cameras_apart_cm": {name: 100 * apart_m for name, apart_m in self._rig_watch.distances_m().items()},
             "error": _error(self._poses, self.truths),
         }
+
+
+def _why_misplaced(source: FrameSource, settings: RunSettings, console: Console) -> list[str]:
+    """Which depth unit, picture or pose is wrong, a line each, where cameras do not fit each other or see nobody."""
+    if not isinstance(source, Recording) or settings.weights is not None:
+        return []
+    from depthmocap.calibration.recording_check import check_recording  # rarely needed
+
+    with contextlib.suppress(InputError):
+        segment = "none" if settings.segment == "none" else "auto"
+        return check_recording(source, console, _SETS_CHECKED, segment).faults
+    return []
 
 
 def _way_out(source: FrameSource, segment: Segmentation) -> str:

@@ -6,6 +6,8 @@ A camera that was bumped, or a rig file of other cameras, must not spoil poses s
 from __future__ import annotations
 
 import collections
+import itertools
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -41,6 +43,8 @@ class ExtrinsicsCheck:
         self._delivered: collections.Counter[str] = collections.Counter()
         self._observed: collections.Counter[str] = collections.Counter()
         self._medians: collections.defaultdict[str, list[float]] = collections.defaultdict(list)
+        #: Distances (metres) of the sets by pair, of all cameras that see the person.
+        self._pairs: collections.defaultdict[tuple[str, str], list[float]] = collections.defaultdict(list)
 
     def __call__(self, cloud: LabelledCloud) -> list[str]:
         """Add the cloud of a frame set; after every ``SETS`` of them, the problems found, one line each."""
@@ -65,6 +69,10 @@ class ExtrinsicsCheck:
             else:
                 for name, distance in zip(names, distances, strict=True):
                     self._distances[(name,)].append(distance)
+                for a, b in itertools.combinations(names, 2):
+                    apart = np.linalg.norm(estimates[a] - estimates[b], axis=1)
+                    if np.isfinite(apart).any():
+                        self._pairs[a, b].append(float(np.nanmedian(apart)))
         return self.finish() if self._sets >= SETS else []
 
     def finish(self) -> list[str]:
@@ -85,6 +93,8 @@ class ExtrinsicsCheck:
                 problems.append(_pair_message(names))
             elif median_m > MISPLACED_M:
                 misplaced += names
+        if misplaced:
+            misplaced = self._disagree(list(dict.fromkeys(name for names in judged for name in names))) or misplaced
         problems += [_misplaced_message(misplaced)] if misplaced else []
         blind = [
             name
@@ -93,12 +103,30 @@ class ExtrinsicsCheck:
         ]
         problems += [_blind_message(blind)] if blind else []
         self._distances.clear()
+        self._pairs.clear()
         self._sets = 0
         # Old counts fade. Otherwise a camera that turns away after an hour would be reported an hour later.
         for counts in (self._delivered, self._observed):
             for name in counts:
                 counts[name] //= 2
         return problems
+
+    def _disagree(self, names: Sequence[str]) -> list[str]:
+        """The cameras that disagree with those that agree with each other; none where none agree. The median over all
+        cameras does not tell them: one that is far off moves it."""
+        agree = {
+            pair
+            for pair, values in self._pairs.items()
+            if len(values) >= FEWEST_SETS and float(np.median(values)) < MISPLACED_M
+        }
+        groups = [{name} for name in names]
+        for a, b in agree:
+            one, other = (next((group for group in groups if name in group), None) for name in (a, b))
+            if one is not None and other is not None and one is not other:
+                one |= other
+                groups.remove(other)
+        largest = max(groups, key=len, default=set())
+        return [name for name in names if name not in largest] if len(largest) > 1 else []
 
     def distances_m(self) -> dict[str, float]:
         """Median distance (metres) of each camera's joints from the median of all cameras; of two cameras, between

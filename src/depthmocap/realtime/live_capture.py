@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, UInt16
 from numpy import ndarray
 
+from depthmocap.calibration.rig_watch import RigWatch
 from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.cameras.registry import make_sources
 from depthmocap.cameras.source import DepthSource
@@ -24,7 +25,6 @@ from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.geometry import DepthCamera, Rig, check_extrinsics, load_rig
 from depthmocap.offline.pipeline import Pipeline, Result, warm_up
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline
-from depthmocap.pose.extrinsics_check import ExtrinsicsCheck
 from depthmocap.realtime.ingest import FrameIngest, frame_set, recorded_frames
 from depthmocap.realtime.mcap_recorder import McapRecorder
 from depthmocap.realtime.status import CameraStatus, RunStatistics, camera_statuses
@@ -106,7 +106,7 @@ class LiveCapture:
         self._timer: threading.Timer | None = None
         self._sources, self._pipeline, self._make_pipeline = list(sources), pipeline, make_pipeline
         self.reader = SyncedReader(sources, rig, sync, measure_rate)
-        self.statistics, self._extrinsics_check = RunStatistics(), ExtrinsicsCheck()
+        self.statistics = RunStatistics()
         self._outlets = Outlets(streams, self.reader.problems.add)
         #: Adds to a time of ``time.monotonic_ns`` to give nanoseconds since 1970.
         self.unix_minus_monotonic_ns = time.time_ns() - time.monotonic_ns()
@@ -114,6 +114,7 @@ class LiveCapture:
         self.sets_before_ready = 0
         self.up = rig.up if rig else (sources[0].up if sources else "z")
         self._recorded_minus: list[int] = []
+        self._rig_watch = RigWatch(self.up, explain=True)
         self._between_sets: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
 
     @property
@@ -201,7 +202,7 @@ class LiveCapture:
 
     def apart_m(self) -> dict[str, float]:
         """How far apart the cameras see the person (metres), by the extrinsics check."""
-        return self._extrinsics_check.distances_m()
+        return self._rig_watch.distances_m()
 
     def statuses(self) -> list[CameraStatus]:
         """The current status of every camera."""
@@ -219,7 +220,7 @@ class LiveCapture:
             frames = frame_set(synced, self.reader.cameras)
             result = self._pipeline(frames)
             self._send(result, frames)
-            self.reader.problems.update(self._extrinsics_check(result.cloud))
+            self.reader.problems.update(self._rig_watch(frames, result.cloud))
             if len(self._recorded_minus) < _FIRST_FRAMES:
                 self._recorded_minus += [
                     McapRecorder.recorded_ns(frame, self.unix_minus_monotonic_ns) - synced.times_ns[name]
@@ -228,7 +229,7 @@ class LiveCapture:
             arrival_ns = max(frame.arrival_ns for frame in synced.frames.values())
             latency_ms = (time.monotonic_ns() - arrival_ns) * 1e-6
             yield _count_pose(self.statistics, LivePose(result.pose, synced, result, latency_ms))
-        self.reader.problems.update(self._extrinsics_check.finish())
+        self.reader.problems.update(self._rig_watch.finish())
 
     def _send(self, result: Result, frames: FrameSet) -> None:
         """Hand a result to the streams, unless a filter that waits has no pose yet that is final."""
@@ -293,7 +294,8 @@ class Replay:
         """``make_pipeline`` is called with the recording, which has its backgrounds."""
         self.pipeline = make_pipeline(recording)
         self.ingest = FrameIngest(sync or SyncSettings(rate_hz=1e9 / recording.period_ns))
-        self.statistics, self._extrinsics_check, self.up = RunStatistics(), ExtrinsicsCheck(), recording.up
+        self.statistics, self.up = RunStatistics(), recording.up
+        self._rig_watch = RigWatch(self.up, explain=True)
         self._recording, self._now_ns = recording, 0
         for camera in recording.rig.cameras:
             if recording.stamps(camera.name):
@@ -318,7 +320,7 @@ class Replay:
 
     def apart_m(self) -> dict[str, float]:
         """How far apart the cameras see the person (metres), by the extrinsics check."""
-        return self._extrinsics_check.distances_m()
+        return self._rig_watch.distances_m()
 
     def statuses(self) -> list[CameraStatus]:
         """The current status of every camera."""
@@ -328,11 +330,12 @@ class Replay:
         for synced in self.ingest.run(recorded_frames(self._recording, self.ingest.problems)):
             self._now_ns = synced.timestamp_ns
             start_s = time.perf_counter()
-            result = self.pipeline(frame_set(synced, self.ingest.cameras))
+            frames = frame_set(synced, self.ingest.cameras)
+            result = self.pipeline(frames)
             latency_ms = (time.perf_counter() - start_s) * 1e3
-            self.ingest.problems.update(self._extrinsics_check(result.cloud))
+            self.ingest.problems.update(self._rig_watch(frames, result.cloud))
             yield _count_pose(self.statistics, LivePose(result.pose, synced, result, latency_ms))
-        self.ingest.problems.update(self._extrinsics_check.finish())
+        self.ingest.problems.update(self._rig_watch.finish())
 
 
 def _count_pose(statistics: RunStatistics, live: LivePose) -> LivePose:

@@ -1,4 +1,4 @@
-"""``depthmocap convert``, ``recover`` and ``info``: copy recordings into other formats, repair them, describe them."""
+"""``depthmocap convert`` and ``recover``: copy recordings into other formats, repair them; and what is in them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ from depthmocap.recordings.mcap_writer import McapSink, McapWriter, check_name
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.recordings.recording import Recording
 from depthmocap.recordings.recording_writer import RecordingWriter
-from depthmocap.text import offset_lines
 
 #: Name endings of camera makers' files: every command takes such a name for a file, so no folder may have it.
 FOREIGN = (".mkv", ".oni", ".bag")
@@ -178,17 +177,6 @@ def recover(settings: RecoverSettings, console: Console | None = None) -> dict[s
     return {"frames": frames, "damaged": damaged, "lost_bytes": lost_bytes}
 
 
-@dataclasses.dataclass(frozen=True)
-class InfoSettings:
-    """What is in a recording.
-
-    Attributes:
-        recording: a recording folder or an MCAP file.
-    """
-
-    recording: tyro.conf.Positional[Path]
-
-
 def recording_info(recording: Recording) -> dict[str, Any]:
     """The summary that ``depthmocap info`` prints. Gaps in a camera's timestamps count as lost frames."""
     path = recording.path
@@ -223,35 +211,3 @@ def recording_info(recording: Recording) -> dict[str, Any]:
         "cameras": cameras,
         "problems": recording.problems,
     }
-
-
-def info(settings: InfoSettings, console: Console | None = None) -> dict[str, Any]:
-    """Print what is in a recording.
-
-    Raises:
-        InputError: when the path is no recording.
-    """
-    from rich.table import Table
-
-    console = console or Terminal()
-    summary = recording_info(open_recording(settings.recording))
-    table = Table(title=summary["recording"], title_justify="left")
-    for column in ("camera", "size", "frames", "a second", "lost", "depth unit", "clock", "background"):
-        table.add_column(column)
-    for name, camera in summary["cameras"].items():
-        rate = camera["frames_per_second"]
-        table.add_row(
-            name, "×".join(map(str, camera["size"])), str(camera["frames"]), "" if rate is None else f"{rate:.2f}",
-            str(camera["lost"]), f"{camera['depth_unit_m'] * 1e3:g} mm", camera["clock"] or "",
-            "yes" if camera["background"] else "no",
-        )  # fmt: skip
-    console.print(table)
-    console.print(
-        f"{summary['sets']} sets in {summary['seconds']:.1f} s, {summary['megabytes']:.1f} MB, "
-        f"{summary['compression']:.2f}:1, up is {summary['up']}, {summary['true_joints']} true poses"
-    )
-    for line in offset_lines({name: camera["time_offset_s"] for name, camera in summary["cameras"].items()}):
-        console.print(line)
-    for problem in summary["problems"]:
-        console.print(f"• {problem}")
-    return summary

@@ -247,14 +247,15 @@ class McapRecording(Recording):
                 f"{calibration.distortion.size} numbers: expected plumb_bob with 5"
             )
         where, matrix = f"{self.path}: camera {name!r}", calibration.matrix
-        depth_unit = images.channel.metadata.get("depth_unit_m", "0.001") if images else "0.001"
-        offset = images.channel.metadata.get("time_offset_s", "0") if images else "0"
+        told = images.channel.metadata if images else {}
         k1, k2, p1, p2, k3 = calibration.distortion.tolist() or [0.0] * 5
         camera = DepthCamera(
             name, calibration.width, calibration.height, float(matrix[0, 0]), float(matrix[1, 1]),
             float(matrix[0, 2]), float(matrix[1, 2]), pose, (k1, k2, p1, p2, k3),
-            number_from_text(depth_unit, f"{where}: depth_unit_m"),
-            number_from_text(offset, f"{where}: time_offset_s"),
+            number_from_text(told.get("depth_unit_m", "0.001"), f"{where}: depth_unit_m"),
+            number_from_text(told.get("time_offset_s", "0"), f"{where}: time_offset_s"),
+            number_from_text(told.get("depth_factor", "1"), f"{where}: depth_factor"),
+            told.get("mirrored") == "true",
         )  # fmt: skip
         check_camera(camera, where)
         return camera

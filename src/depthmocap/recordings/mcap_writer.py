@@ -205,6 +205,10 @@ class Topics:
         metadata = {"kind": kind, "clock": clock, "coding": self._coding, "depth_unit_m": repr(camera.depth_unit_m)}
         if camera.time_offset_s:
             metadata["time_offset_s"] = repr(camera.time_offset_s)
+        if camera.depth_factor != 1:
+            metadata["depth_factor"] = repr(camera.depth_factor)
+        if camera.mirrored:
+            metadata["mirrored"] = "true"
         return channel(f"/{camera.name}/{kind}", metadata=metadata, context=self._context)
 
     def time(self, timestamp_ns: int) -> Any:

@@ -204,4 +204,6 @@ def packed_points(points_world: Float[ndarray, "n 3"], labels: UInt8[ndarray, " 
 
 def _raw(view: View) -> UInt16[ndarray, "h w"]:
     """Depth in the camera's units, as it came."""
-    return np.rint(np.nan_to_num(view.depth_m) / view.camera.depth_unit_m).astype(np.uint16)
+    camera = view.camera
+    raw = np.rint(np.nan_to_num(view.depth_m) / (camera.depth_unit_m * camera.depth_factor)).astype(np.uint16)
+    return np.ascontiguousarray(raw[:, ::-1]) if camera.mirrored else raw
