@@ -87,8 +87,8 @@ def test_a_camera_in_another_unit_is_named_and_mended_on_demand(tmp_path, capsys
     ("change", "message"),
     [
         (None, "nothing wrong is found with depth units, pictures and poses"),
-        ("inverse", "wrong: world_from_camera of camera 'cam1' is camera_from_world, the inverse: with [["),
-        ("upside down", "wrong: world_from_camera of camera 'cam1' is of a picture turned by 180°"),
+        ("inverse", "wrong: world_from_camera of camera 'cam1' is camera_from_world, the inverse: right would be [["),
+        ("upside down", "wrong: the picture of camera 'cam1' is turned by 180° against its intrinsics and pose"),
         ("half", "wrong: all cameras measure 0.5 of the lengths between the places that the rig tells"),
     ],
 )

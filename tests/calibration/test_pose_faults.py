@@ -79,6 +79,26 @@ def test_a_single_picture_upside_down_is_told_and_a_lying_world_by_its_up() -> N
     assert faults([y_up @ pose for pose in TRUE], "y") == []
 
 
+def test_a_picture_that_is_turned_while_its_intrinsics_are_not_is_told() -> None:
+    rng = np.random.default_rng(0)
+    camera = DepthCamera("cam1", 320, 288, 252.0, 252.0, 160.7, 165.8, TRUE[1])
+    tracks = [track(pose, TIMES_S, rng) for pose in TRUE]
+    points = tracks[1].joints
+    seen = np.stack(  # u and v are counted from the other end
+        [
+            points[..., 2] * (319 - 2 * camera.cx) / camera.fx - points[..., 0],
+            points[..., 2] * (287 - 2 * camera.cy) / camera.fy - points[..., 1],
+            points[..., 2],
+        ],
+        -1,
+    )
+    tracks[1] = dataclasses.replace(tracks[1], joints=seen)
+    cameras = [dataclasses.replace(camera, name=f"cam{i}", world_from_camera=pose) for i, pose in enumerate(TRUE)]
+    (fault,) = find_pose_faults(cameras, tracks, "z", rng)
+    assert (fault.kind, fault.cameras) == ("picture turned 180", ("cam1",))
+    assert "turned by 180° against its intrinsics" in fault.text
+
+
 @pytest.mark.parametrize("scale", [0.25, 0.5, 0.7, 2.0])
 def test_a_unit_that_all_cameras_share_is_told_by_the_places_of_the_rig(scale: float) -> None:
     (fault,) = faults(TRUE, scale=scale)

@@ -158,7 +158,7 @@ def shifted(pose: np.ndarray) -> np.ndarray:
     [
         (None, None),
         (shifted, "stands elsewhere than the rig says, by 0° and 15 cm where the person is, against"),
-        (rigid_inverse, "is camera_from_world, the inverse: with [["),
+        (rigid_inverse, "is camera_from_world, the inverse: right would be [["),
     ],
 )
 def test_run_tells_of_a_rig_that_is_wrong(short, tmp_path, capsys, pose, message) -> None:

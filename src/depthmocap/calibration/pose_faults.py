@@ -83,13 +83,25 @@ WAYS: dict[str, tuple[str, Callable[[ndarray], ndarray]]] = {
 }
 
 
+#: The same of a picture that is turned while intrinsics and pose are not: its principal point is then another one, too.
+TURNED_PICTURE = "picture turned 180"
+
+
+def _of_turned_picture(camera: DepthCamera) -> Float[ndarray, "4 4"]:
+    """What makes points that are seen in a picture turned by 180° those of the camera; no rotation, but linear."""
+    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    turn[0, 2] = (camera.width - 1 - 2 * camera.cx) / camera.fx
+    turn[1, 2] = (camera.height - 1 - 2 * camera.cy) / camera.fy
+    return turn
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class PoseFault:
     """Extrinsics that are wrong.
 
     Attributes:
-        kind: a key of ``WAYS``; "up", the world's axis; "unit", depth against the places of the cameras; or
-            "elsewhere", in no known way.
+        kind: a key of ``WAYS``; ``TURNED_PICTURE``; "up", the world's axis; "unit", depth against the places of the
+            cameras; or "elsewhere", in no known way.
         cameras: who is wrong; both of two where it cannot be told which.
         text: the same in words, with what would mend it.
         poses: ``world_from_camera`` as it would be right, by camera.
@@ -127,7 +139,7 @@ def find_pose_faults(
 
 class _Judge:
     def __init__(self, cameras: Sequence[DepthCamera], skeletons: Skeletons, up: str, rng: np.random.Generator) -> None:
-        self.names = [camera.name for camera in cameras]
+        self.cameras, self.names = cameras, [camera.name for camera in cameras]
         self.poses = [camera.world_from_camera for camera in cameras]
         self.skeletons, self.up, self.rng = skeletons, z_up_from(up)[2], rng
         self.up_name = up
@@ -165,7 +177,8 @@ class _Judge:
         across = joints[:, _HIP] - along[:, None] * axis
         if np.sqrt(np.trace(np.cov(across.T))) < _WALKS_M or along.std() > _LEVEL_M:
             return None
-        return float(np.rad2deg(np.arccos(np.clip(pose[:3, :3] @ axis @ self.up, -1, 1))))
+        turned = pose[:3, :3] @ axis
+        return float(np.rad2deg(np.arccos(np.clip(turned @ self.up / np.linalg.norm(turned), -1, 1))))
 
     def stands(self, camera: int, pose: Float[ndarray, "4 4"]) -> bool:
         """Whether the person stands upright, as far as it can be told."""
@@ -193,11 +206,16 @@ class _Judge:
     def has_pair(self, camera: int, group: Sequence[int]) -> bool:
         return any(camera in pair and ({*pair} - {camera}) <= {*group} for pair in self.pairs)
 
+    def readings(self, camera: int) -> list[tuple[str, ndarray]]:
+        """A camera's pose in every known way."""
+        pose = self.poses[camera]
+        readings = [(kind, read(pose)) for kind, (_, read) in WAYS.items()]
+        return [*readings, (TURNED_PICTURE, pose @ _of_turned_picture(self.cameras[camera]))]
+
     def ways(self, camera: int, others: Sequence[int]) -> list[tuple[str, ndarray]]:
         """The ways of reading a camera's pose by which it fits the others."""
         found = []
-        for kind, (_, read) in WAYS.items():
-            pose = read(self.poses[camera])
+        for kind, pose in self.readings(camera):
             apart = [
                 self.apart_m(camera, other, pose, self.poses[other])
                 for other in others
@@ -212,11 +230,9 @@ class _Judge:
         name, others = self.names[camera], camera_list([self.names[i] for i in group])
         if ways := self.ways(camera, group):
             kind, pose = ways[0]
-            return PoseFault(
-                kind, (name,),
-                f"world_from_camera of camera {name!r} {WAYS[kind][0]}: with {_matrix(pose)} it fits {others}",
-                {name: pose},
-            )  # fmt: skip
+            if kind == TURNED_PICTURE:
+                return PoseFault(kind, (name,), f"{_words(name, kind, pose)}, which fits {others}", {})
+            return PoseFault(kind, (name,), f"{_words(name, kind, pose)}, which fits {others}", {name: pose})
         pose = self.placed(camera, group)
         if pose is None:
             return PoseFault("elsewhere", (name,), f"camera {name!r} does not fit {others}: {_CALIBRATE}", {})
@@ -291,12 +307,9 @@ class _Judge:
         if not options:
             text = f"{names} do not see the person in one place: one stands elsewhere than the rig says: {_CALIBRATE}"
             return [PoseFault("elsewhere", tuple(self.names), text, {}, certain=False)]
-        words = ", or ".join(
-            f"world_from_camera of camera {name!r} {WAYS[kind][0]}: right would be {_matrix(pose)}"
-            for name, kind, pose in options
-        )
+        words = ", or ".join(_words(*option) for option in options)
         told = tuple(name for name, _, _ in options)
-        poses = {name: pose for name, _, pose in options}
+        poses = {name: pose for name, kind, pose in options if kind != TURNED_PICTURE}
         return [PoseFault(options[0][1], told, f"{names} do not fit: {words}", poses, certain=len(options) == 1)]
 
     def tilted(self, group: Sequence[int]) -> list[PoseFault]:
@@ -321,15 +334,15 @@ class _Judge:
         if np.array_equal(pose, np.eye(4)):
             return []
         found = []
-        for kind, (words, read) in WAYS.items():
-            tilt = self.tilt_deg(camera, read(pose))
-            if tilt is not None and tilt < UPRIGHT_DEG and self.on_floor(camera, read(pose)):
-                found.append((kind, words, read(pose)))
+        for kind, reading in self.readings(camera):
+            tilt = self.tilt_deg(camera, reading)
+            if tilt is not None and tilt < UPRIGHT_DEG and self.on_floor(camera, reading):
+                found.append((kind, reading))
         ups = [up for up in ("z", "y", "-y") if up != self.up_name and self.with_up(up).stands(camera, pose)]
-        words = [f"world_from_camera {words}: right would be {_matrix(pose)}" for _, words, pose in found]
+        words = [_words(name, kind, reading) for kind, reading in found]
         words += [f'"up": "{up}" would be right' for up in ups]
         lying = f"camera {name!r} sees a person who walks lying or upside down in the rig's world"
-        kind, poses = (found[0][0], {name: found[0][2]}) if len(found) == 1 and not ups else ("elsewhere", {})
+        kind, poses = (found[0][0], {name: found[0][1]}) if len(found) == 1 and not ups else ("elsewhere", {})
         return [PoseFault(kind, (name,), f"{lying}: {', or '.join(words) or _CALIBRATE}", poses)]
 
     def on_floor(self, camera: int, pose: Float[ndarray, "4 4"]) -> bool:
@@ -350,6 +363,13 @@ def moved(old: Float[ndarray, "4 4"], new: Float[ndarray, "4 4"], point: Float[n
     step = new @ rigid_inverse(old)
     angle = np.arccos(np.clip((np.trace(step[:3, :3]) - 1) / 2, -1, 1))
     return 100 * float(np.linalg.norm(transform_points(step, point) - point)), float(np.rad2deg(angle))
+
+
+def _words(name: str, kind: str, pose: Float[ndarray, "4 4"]) -> str:
+    """What is wrong with a camera, and what would be right."""
+    if kind == TURNED_PICTURE:
+        return f"the picture of camera {name!r} is turned by 180° against its intrinsics and pose: turn it back"
+    return f"world_from_camera of camera {name!r} {WAYS[kind][0]}: right would be {_matrix(pose)}"
 
 
 def _matrix(pose: Float[ndarray, "4 4"]) -> str:
