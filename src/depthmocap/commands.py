@@ -225,6 +225,14 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "train",
         ),
         Command(
+            "train front",
+            "depthmocap.train.train_front",
+            "FrontTraining",
+            "train_front",
+            "train the network that tells front from back",
+            "train",
+        ),
+        Command(
             "train pose",
             "depthmocap.train.train_pose",
             "PoseTraining",

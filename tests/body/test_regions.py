@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from depthmocap.body import skeleton
-from depthmocap.body.regions import DISPLAY_COLOURS, MIRROR, REGION, REGION_COUNT, REGION_NAMES, UBC3V_COLOURS
+from depthmocap.body.regions import (
+    DISPLAY_COLOURS,
+    MIRROR,
+    REGION,
+    REGION_COUNT,
+    REGION_NAMES,
+    TURNED,
+    UBC3V_COLOURS,
+)
 from depthmocap.synth.body.bones import POSTURE_BONES, POSTURE_INDEX, POSTURE_PARENTS
 
 
@@ -37,6 +45,15 @@ def test_mirror_exchanges_sides() -> None:
         if name not in unpaired:
             assert {name[-2:], REGION_NAMES[MIRROR[i]][-2:]} == {" R", " L"}
             assert name[:-2] == REGION_NAMES[MIRROR[i]][:-2]
+
+
+def test_turning_round_exchanges_front_and_back() -> None:
+    np.testing.assert_array_equal(TURNED[TURNED], np.arange(44))
+    for name, turned in (
+        ("chest R", "upper back L"), ("belly L", "lower back R"), ("face R", "hair L"), ("neck front", "nape"),
+        ("shoulder back L", "shoulder front R"), ("hand R", "hand L"), ("forehead", "forehead"),
+    ):  # fmt: skip
+        assert REGION_NAMES[TURNED[REGION[name]]] == turned
 
 
 def test_joint_tables() -> None:

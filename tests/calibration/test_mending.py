@@ -73,7 +73,7 @@ def test_a_unit_that_is_wrong_for_all_is_named_with_the_right_one(tmp_path, caps
     assert "a depth unit of 0.001 m instead of 0.00025 m would be right" in said(capsys)
     assert not out.exists()
     assert main(["run", str(path), "--out", str(tmp_path / "run"), "--no-report"]) == 2
-    assert "a depth unit of 0.001 m instead of 0.00025 m" in said(capsys)
+    assert "multiply their depth by 4 (depth_factor in rig.json)" in said(capsys)  # by the rig's own distances
 
 
 def test_a_camera_in_another_unit_is_named_and_mended_on_demand(tmp_path, capsys) -> None:

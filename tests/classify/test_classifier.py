@@ -91,7 +91,7 @@ def test_the_papers_network_runs_by_its_file_alone(exported: tuple[PaperNet, Pat
 
 def test_nobody(exported: tuple[PaperNet, Path]) -> None:
     view = View(CAMERA, np.full((424, 512), 2.0, np.float32))
-    ((labels, confidence, _),) = Classifier(exported[1], threads=1).label_views([view], [np.zeros((424, 512), bool)])
+    ((labels, confidence, *_),) = Classifier(exported[1], threads=1).label_views([view], [np.zeros((424, 512), bool)])
     assert labels.shape == confidence.shape == (424, 512)
     assert not labels.any() and not confidence.any()
 

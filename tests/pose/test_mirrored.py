@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from depthmocap.body.regions import MIRROR as MIRRORED_REGIONS
-from depthmocap.body.regions import REGION, UNLABELLED
+from depthmocap.body.regions import REGION, TURNED, UNLABELLED
 from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera
@@ -26,7 +25,7 @@ def part(
     places = BODY + rng.normal(0, 0.03, BODY.shape) + [off_m, 0, 0]
     labels = LABELS.astype(np.uint8)
     if mirrored:
-        places, labels = places[MIRROR], np.where(labels < 44, MIRRORED_REGIONS[labels % 44], labels).astype(np.uint8)
+        places, labels = places[MIRROR], np.where(labels < 44, TURNED[labels % 44], labels).astype(np.uint8)
     joints = np.concatenate([places, np.full((len(JOINTS), 1), error_m)], 1)
     view = View(CAMERA, np.full((6, 8), 2.0, np.float32))
     return LabelledView(view, labels, np.full((6, 8), sure, np.float32), joints)

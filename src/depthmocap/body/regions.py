@@ -71,6 +71,23 @@ def _mirror(name: str) -> str:
 #: ``MIRROR[labels]`` swaps left and right.
 MIRROR = np.array([REGION[_mirror(name)] for name in REGION_NAMES], dtype=np.uint8)
 
+#: Regions of the front and of the back that cover each other when a body turns round.
+_BACKS = {
+    "chest": "upper back", "belly": "lower back", "shoulder front": "shoulder back", "neck front": "nape",
+    "face": "hair",
+}  # fmt: skip
+_TURNED_NAMES = {**_BACKS, **{back: front for front, back in _BACKS.items()}}
+
+
+def _turn(name: str) -> str:
+    part, side = (name[:-2], name[-2:]) if name[-2:] in (" R", " L") else (name, "")
+    return _mirror(_TURNED_NAMES.get(part, part) + side)
+
+
+#: ``TURNED[labels]`` takes front for back: the labels of a body whose outline is the same, but which faces the other
+#: way. What covers the same place from both sides, as limbs do, changes sides alone.
+TURNED = np.array([REGION[_turn(name)] for name in REGION_NAMES], dtype=np.uint8)
+
 
 def _display_colours() -> UInt8[ndarray, "44 3"]:
     colours = UBC3V_COLOURS.copy()

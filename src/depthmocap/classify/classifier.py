@@ -13,7 +13,11 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
-from depthmocap.body.skeleton import JOINTS
+from depthmocap.body.regions import MIRROR as MIRRORED_REGIONS
+from depthmocap.body.regions import TURNED
+from depthmocap.body.skeleton import JOINTS, MIRROR
+from depthmocap.body.trunk import front_of_trunk
+from depthmocap.classify.front import FrontNetwork, front_of_labels, log_odds
 from depthmocap.classify.window import WINDOW_MAKERS, Window, WindowMaker
 from depthmocap.core.cores import usable_cores
 from depthmocap.core.onnx_session import open_network
@@ -32,27 +36,65 @@ _OUTPUTS = {
 _READERS = {"fast": label_groups, "paper": label_dense_pixels}
 
 
+#: Labels that a front and a back have in different places: those of the trunk and the head.
+_FACING = TURNED != MIRRORED_REGIONS
+#: Where these have a mean probability above this, front and back are hardly ever mistaken for each other: the second
+#: network is not asked,
+_SURE_OF_FRONT = 0.76
+#: and these are the log odds.
+_SURE_LOG_ODDS = 5.0
+#: Log odds of labels and joints that imply the same front to be right about it, before the second network is asked.
+_PRIOR_LOG_ODDS = 0.5
+#: The second network is so much less sure on people whom it was not trained on.
+_CALIBRATION = 0.85
+
+
 def packaged_weights() -> Path:
     """The 8-bit ONNX file of the packaged network; its weights for training are in the repository, ``weights/``."""
     return Path(str(importlib.resources.files("depthmocap.classify") / "weights" / "fast.onnx"))
 
 
 class ViewPrediction(NamedTuple):
-    """The network's output for a view: regions 0–43 and their probabilities at the masked pixels, 0 elsewhere; and the
-    joints' world positions with their expected errors (metres), NaN where it gives none."""
+    """The prediction for a view: regions 0–43 and their probabilities at the masked pixels, 0 elsewhere; the joints'
+    world positions with their expected errors (metres), NaN where there are none; and the log odds that what is told
+    front is not the back (``FrontNetwork``), NaN where unknown."""
 
     labels: UInt8[ndarray, "h w"]
     confidence: Float[ndarray, "h w"]
     joints: Float[ndarray, "18 4"]
+    front_log_odds: float = float("nan")
 
 
 class WindowPrediction(NamedTuple):
-    """The network's output for a window: as of a view, but the joints' positions are in the window
+    """The prediction for a window: as of a view, but the joints' positions are in the window
     (``Window.positions_from_world``), with the logarithm of their expected errors."""
 
     labels: UInt8[ndarray, "h w"]
     confidence: Float[ndarray, "h w"]
     joints: Float[ndarray, "18 4"]
+    front_log_odds: float = float("nan")
+
+
+def _facing_right(prediction: WindowPrediction, window: Window, scores: Float[ndarray, "64"]) -> WindowPrediction:
+    """The prediction with its labels and its joints, which may contradict each other, turned round where the odds are
+    that they take a back for a front.
+
+    Args:
+        scores: of ``FrontNetwork``.
+    """
+    labels, joints = prediction.labels, prediction.joints
+    of_joints = log_odds(scores, front_of_trunk(joints[None, :, :3])[0])
+    of_labels = log_odds(scores, front_of_labels(window, labels, joints[:, :3]))
+    if np.isnan(of_labels):
+        of_labels = of_joints
+    if (of_labels < 0) == (of_joints < 0):
+        # Where labels and joints agree they count as well.
+        of_labels, of_joints = of_labels + _PRIOR_LOG_ODDS, of_joints + _PRIOR_LOG_ODDS
+    if of_labels < 0:
+        labels = TURNED[labels]
+    if of_joints < 0:
+        joints = joints[MIRROR]
+    return WindowPrediction(labels, prediction.confidence, joints, _CALIBRATION * abs(of_labels))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -71,6 +113,8 @@ def _no_joints() -> Float[ndarray, "18 4"]:
 class Classifier:
     """A trained body-part classifier: depth in, region and probability of every pixel out (paper, Sec. IV-A).
 
+    Labels that take a back for a front, or a front for a back, are turned round (``FrontNetwork``).
+
     Views are labelled in parallel, each by one thread from the depth image to the labels. Threads inside the network
     would wait for each other after every layer.
 
@@ -81,10 +125,11 @@ class Classifier:
         make_window: makes this network's windows.
     """
 
-    def __init__(self, path: Path | None = None, threads: int | None = None) -> None:
+    def __init__(self, path: Path | None = None, threads: int | None = None, fronts: bool = True) -> None:
         """Load an ONNX file written by ``depthmocap train classifier``; the packaged one by default.
 
         Args:
+            fronts: turn labels round by the packaged ``FrontNetwork``; never those of the paper's network.
             threads: views labelled at a time; by default as many as the cores that this process may use.
 
         Raises:
@@ -105,6 +150,7 @@ class Classifier:
         self.path, self.network, self.predicts_joints = source, name, "joints" in names[1]
         self.make_window: WindowMaker = WINDOW_MAKERS[name]
         self._read = _READERS[name]
+        self._front = FrontNetwork() if fronts and self.predicts_joints else None
         self._pool = ThreadPoolExecutor(threads or usable_cores())
 
     def label_window(self, window: Window) -> WindowPrediction:
@@ -115,7 +161,13 @@ class Classifier:
         scores = np.asarray(outputs[0])
         self._read(scores if self._read is label_groups else scores[0], mask, labels, confidence)
         joints = np.asarray(outputs[1], np.float64)[0] if self.predicts_joints else _no_joints()
-        return WindowPrediction(labels, confidence, joints)
+        prediction = WindowPrediction(labels, confidence, joints)
+        if self._front is None:
+            return prediction
+        facing = confidence[_FACING[labels]]
+        if len(facing) and facing.mean() > _SURE_OF_FRONT:
+            return prediction._replace(front_log_odds=_SURE_LOG_ODDS)
+        return _facing_right(prediction, window, self._front(window))
 
     def label_mask(self, view: View, mask: Bool[ndarray, "_ _"]) -> LabelledMask:
         """The prediction for a view, without turning the image upright."""
@@ -129,7 +181,8 @@ class Classifier:
         if self.predicts_joints:
             positions = window.positions_to_world(joints[:, :3], view.camera)
             joints = np.concatenate([positions, np.exp(joints[:, 3:])], 1)
-        return LabelledMask(ViewPrediction(labels, confidence, joints), window, window_prediction)
+        prediction = ViewPrediction(labels, confidence, joints, window_prediction.front_log_odds)
+        return LabelledMask(prediction, window, window_prediction)
 
     def label_masks(self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]) -> Iterator[LabelledMask]:
         """The predictions for the views, in order, without turning the images upright."""
@@ -159,4 +212,4 @@ class Classifier:
         assert turned.mask is not None
         prediction = self.label_mask(turned, turned.mask).prediction
         labels, confidence = (np.ascontiguousarray(np.rot90(image, -quarters)) for image in prediction[:2])
-        return ViewPrediction(labels, confidence, prediction.joints)
+        return prediction._replace(labels=labels, confidence=confidence)

@@ -101,7 +101,7 @@ class _Accuracy:
             self.confidences.append(confidence)
             self.truths.append(frames.true_joints)
             self.eyes.append(chosen[0].view.camera.world_from_camera[:3, 3])
-        for view, labels, _, _ in labelled:
+        for view, labels, *_ in labelled:
             if view.labels is not None and view.mask is not None:
                 self.image.add(view.labels[view.mask], labels[view.mask])
 

@@ -111,7 +111,7 @@ def evaluate_labels2d(settings: Labels2dEvaluation, console: Console | None = No
         height, width = depth.shape
         focal = settings.fx or 1.07 * width
         camera = DepthCamera("camera", width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
-        ((labels, _, _),) = classifier.label_views([View(camera, depth)], [depth > 0])
+        ((labels, *_),) = classifier.label_views([View(camera, depth)], [depth > 0])
         for joint, (u, v, confidence) in joints.items():
             if confidence < settings.confidence:
                 continue

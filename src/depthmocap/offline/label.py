@@ -121,7 +121,7 @@ def label_image(settings: LabelSettings) -> UInt8[ndarray, "h w"]:
     with networks_on(settings.device):
         classifier = Classifier(settings.weights)
     view = View(_camera(settings, depth.shape), depth)
-    ((labels, _, _),) = classifier.label_views([view], [person])
+    ((labels, *_),) = classifier.label_views([view], [person])
     if not labels.any():
         raise InputError(
             f"{settings.depth}: no person found; {np.count_nonzero(person)} pixels have valid depth: where they show "

@@ -32,7 +32,8 @@ class LabelledCloud:
 
     The points of a camera are consecutive: first ``view_sizes[0]`` points of ``cameras[0]``, and so on. A cloud may
     have no cameras; the paper's features do not need them. ``joints`` are the joints estimated from each view alone
-    (see ``LabelledView``), NaN where there are none.
+    (see ``LabelledView``), NaN where there are none. ``front_log_odds`` are the log odds of all views together that
+    what is labelled front is not the back, NaN where no view tells.
     """
 
     points_world: Float32[ndarray, "n 3"]
@@ -41,6 +42,7 @@ class LabelledCloud:
     view_sizes: tuple[int, ...] = ()
     cameras: tuple[DepthCamera, ...] = ()
     joints: tuple[Float[ndarray, "18 4"] | None, ...] = ()
+    front_log_odds: float = float("nan")
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -60,12 +62,17 @@ def merge_views(parts: Sequence[LabelledView]) -> LabelledCloud:
     points_world = np.empty((capacity, 3), np.float32)
     all_labels, all_weights = np.empty(capacity, np.uint8), np.empty(capacity, np.float32)
     row, sizes = 0, []
-    for view, labels, weights, _ in parts:
+    for view, labels, weights, *_ in parts:
         start = row
         row = _unproject(view, labels, weights, row, points_world, all_labels, all_weights)
         sizes.append(row - start)
     cameras, joints = tuple(part.view.camera for part in parts), tuple(part.joints for part in parts)
-    return LabelledCloud(points_world[:row], all_labels[:row], all_weights[:row], tuple(sizes), cameras, joints)
+    odds = [part.front_log_odds for part, size in zip(parts, sizes, strict=True) if size]
+    known = [each for each in odds if np.isfinite(each)]
+    return LabelledCloud(
+        points_world[:row], all_labels[:row], all_weights[:row], tuple(sizes), cameras, joints,
+        float(sum(known)) if known else float("nan"),
+    )  # fmt: skip
 
 
 def _unproject(

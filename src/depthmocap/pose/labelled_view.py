@@ -19,13 +19,15 @@ LABELS: tuple[Labels, ...] = ("network", "true")
 
 
 class LabelledView(NamedTuple):
-    """A view with its label per pixel, the labels' probabilities (None: true labels), and the joints that the network
-    estimates from this view alone: world position and expected error (metres; None or NaN without an estimate)."""
+    """A view with its label per pixel, the labels' probabilities (None: true labels), the joints that the network
+    estimates from this view alone: world position and expected error (metres; None or NaN without an estimate), and
+    the log odds that what is labelled front is not the back (NaN where unknown)."""
 
     view: View
     labels: UInt8[ndarray, "_ _"]
     weights: Float[ndarray, "_ _"] | None = None
     joints: Float[ndarray, "18 4"] | None = None
+    front_log_odds: float = float("nan")
 
 
 def label_people(views: Sequence[View], classifier: Classifier, up: str | None = None) -> list[LabelledView]:

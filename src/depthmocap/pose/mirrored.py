@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
-from depthmocap.body.regions import MIRROR as MIRRORED_REGIONS
+from depthmocap.body.regions import TURNED
 from depthmocap.body.skeleton import MIRROR, SIDED
 from depthmocap.pose.labelled_view import LabelledView
 
@@ -20,17 +20,19 @@ GAIN_M = 0.06
 CHANCE = 0.45
 #: but at least this.
 _LEAST_CONFIDENCE = 0.01
-#: Labels with left and right swapped; labels that are no region stay.
-_SWAPPED = np.arange(256, dtype=np.uint8)
-_SWAPPED[: len(MIRRORED_REGIONS)] = MIRRORED_REGIONS
+#: Log odds of a probability above chance.
+_LOG_ODDS = 15.0
+#: Labels that take front for back; labels that are no region stay.
+_TURNED = np.arange(256, dtype=np.uint8)
+_TURNED[: len(TURNED)] = TURNED
 
 
 def undo_mirrored(parts: Sequence[LabelledView]) -> list[LabelledView]:
     """The views of one person, with left and right swapped in those that are mirrored.
 
     Each view's own estimates of the sided joints are compared with the most confident view's. Of the two groups that
-    disagree, the one with the lower sum of confidences is mirrored. Views without such estimates, and views with true
-    labels, stay as they are.
+    disagree, the one is mirrored that has the lower sum of the log odds of its fronts (or of confidences, where nothing
+    told fronts). Views without such estimates, and views with true labels, stay as they are.
     """
     parts = list(parts)
     joints = {i: estimate for i, part in enumerate(parts) if (estimate := _own_joints(part)) is not None}
@@ -50,8 +52,10 @@ def undo_mirrored(parts: Sequence[LabelledView]) -> list[LabelledView]:
                 same.append(i)
     if not mirrored:
         return parts
-    for i in min(same, mirrored, key=lambda group: sum(_confidence(parts[i]) for i in group)):
-        parts[i] = parts[i]._replace(labels=_SWAPPED[parts[i].labels], joints=joints[i][MIRROR])
+    for i in min(same, mirrored, key=lambda group: sum(_sureness(parts[i]) for i in group)):
+        parts[i] = parts[i]._replace(
+            labels=_TURNED[parts[i].labels], joints=joints[i][MIRROR], front_log_odds=-parts[i].front_log_odds
+        )
     return parts
 
 
@@ -65,8 +69,11 @@ def _mean_distance(joints: Float[ndarray, "18 4"], reference: Float[ndarray, "18
     return float(np.linalg.norm(joints[SIDED, :3] - reference[SIDED, :3], axis=1).mean())
 
 
-def _confidence(part: LabelledView) -> float:
-    labelled = (part.labels > 0) & (part.labels < len(MIRRORED_REGIONS))
+def _sureness(part: LabelledView) -> float:
+    """How sure a view is of left and right, as log odds."""
+    if np.isfinite(part.front_log_odds):
+        return part.front_log_odds
+    labelled = (part.labels > 0) & (part.labels < len(TURNED))
     if part.weights is None or not labelled.any():
-        return _LEAST_CONFIDENCE
-    return max(float(part.weights[labelled].mean()) - CHANCE, _LEAST_CONFIDENCE)
+        return _LOG_ODDS * _LEAST_CONFIDENCE
+    return _LOG_ODDS * max(float(part.weights[labelled].mean()) - CHANCE, _LEAST_CONFIDENCE)

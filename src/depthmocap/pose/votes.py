@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 from numpy import ndarray
 
-from depthmocap.body.skeleton import JOINTS
+from depthmocap.body.skeleton import JOINTS, SIDED
 from depthmocap.core.onnx_session import open_network
 from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
@@ -52,7 +52,15 @@ class VotesEstimator:
         if not observed.any():
             return np.full((len(JOINTS), 3), np.nan), np.zeros(len(JOINTS))
         joints, confidence = run_votes(self._session, inputs[None])
-        return frame.to_world(joints[0]) @ z_up_from(up), confidence[0]
+        return frame.to_world(joints[0]) @ z_up_from(up), confidence[0] * _sides_known(cloud)
+
+
+def _sides_known(cloud: LabelledCloud) -> Float64[ndarray, "18"]:
+    """Probability of each joint to be on the side that the labels say: joints in the middle are on none."""
+    sides = np.ones(len(JOINTS))
+    if np.isfinite(cloud.front_log_odds):
+        sides[SIDED] = 1 / (1 + np.exp(-cloud.front_log_odds))
+    return sides
 
 
 def voting_session(source: Path) -> onnxruntime.InferenceSession:

@@ -51,6 +51,8 @@ class WindowSource:
         postures: folder of clips or a pool made of them; without it the packaged prior.
         without: ingredients that our network's training pictures lack; validation pictures are always the same, except
             for their resolution.
+        cut: share of people who are cut off, also in validation pictures, which have the other errors of training then;
+            by default as in the training of the classifier, whose validation pictures show whole people.
     """
 
     network: NetworkName
@@ -59,6 +61,7 @@ class WindowSource:
     postures: Path | None
     seed: int
     without: tuple[Ingredient, ...] = ()
+    cut: float | None = None
 
     def train(self, first: int = 0) -> Dataset[LabelledWindow]:
         """Windows from number ``first`` on, without end.
@@ -84,7 +87,8 @@ class WindowSource:
             source = _PaperWindows(fixed, "valid", 0)
             return [source[i] for i in range(count)]
         postures = posture_source(self.postures, "valid", self.subset == "easy")
-        return [self.at_resolution(training_window(fixed.seed, i, self.subset, postures, None)) for i in range(count)]
+        errors = None if self.cut is None else Degradations(cut=self.cut)
+        return [self.at_resolution(training_window(fixed.seed, i, self.subset, postures, errors)) for i in range(count)]
 
     def at_resolution(self, window: LabelledWindow) -> LabelledWindow:
         """The window at the resolution of this source; half of it keeps every second row and column, repeated twice."""
@@ -114,7 +118,8 @@ class _SynthWindows(Dataset[LabelledWindow]):
         self.source, self.first = source, first
         variation = Variation(mirror=0.5) if "variation" in source.without else TRAINING_VARIATION
         self.postures = posture_source(source.postures, "train", source.subset == "easy", variation)
-        self.degradations = None if "spoiling" in source.without else Degradations()
+        degradations = Degradations() if source.cut is None else Degradations(cut=source.cut)
+        self.degradations = None if "spoiling" in source.without else degradations
 
     def __len__(self) -> int:
         return ENDLESS

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from depthmocap.core.output import atomic_write
+from depthmocap.train.front_network import FrontNet
 from depthmocap.train.networks import Network
 
 if TYPE_CHECKING:
@@ -30,9 +31,14 @@ def export_onnx(network: Network, path: Path, metadata: dict[str, str]) -> Path:
     Batch norms are folded into the convolutions. Large weights are stored as fp16 behind a cast, which the runtime
     folds away when it loads the file: half the size, fp32 arithmetic.
     """
+    outputs = ["probabilities", "joints"] if network.predicts_joints else ["logits"]
+    return export_windows_onnx(network, path, outputs, metadata)
+
+
+def export_windows_onnx(network: Network | FrontNet, path: Path, outputs: list[str], metadata: dict[str, str]) -> Path:
+    """Write a network of windows as ONNX, with names of its outputs."""
     network = copy.deepcopy(network).cpu().eval()
     example = torch.zeros(2, *network.input_shape)
-    outputs = ["probabilities", "joints"] if network.predicts_joints else ["logits"]
     sizes: dict[int, Any] = {0: torch.export.Dim("n", min=1)}
     if network.size_step is not None:
         # As multiples of a number the exporter knows that what was halved and doubled fits again.

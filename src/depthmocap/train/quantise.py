@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 #: Operations in 8 bits. The head is not among them: it is small, since only the person's pixels have one.
 _KINDS = ["Conv", "Relu", "Add", "Concat", "Reshape", "Transpose", "Gather"]
-#: Those of the network that finds people.
-_PEOPLE_KINDS = ["Conv", "Relu", "Add"]
+#: Those of the networks that find people and fronts.
+_PLAIN_KINDS = ["Conv", "Relu", "Add"]
 
 
 def _joint_nodes(model: onnx.ModelProto) -> list[str]:
@@ -58,11 +58,17 @@ def quantise_people(source: Path, pictures: Sequence[Float32[ndarray, "8 rows co
 
     Ranges of activations are those on ``pictures``, inputs of one size from training data; see :func:`_in_integers`.
     """
-    return _in_integers(source, "cells", pictures, _PEOPLE_KINDS, _last_convolution, path)
+    return _in_integers(source, "cells", pictures, _PLAIN_KINDS, _last_convolution, path)
+
+
+def quantise_front(source: Path, windows: Sequence[Float32[ndarray, "3 _ _"]], path: Path) -> Path:
+    """Write an ONNX network that tells fronts with the convolutions of ``source`` in 8 bits, except for the last, whose
+    output is weights; see :func:`_in_integers`."""
+    return _in_integers(source, "windows", windows, _PLAIN_KINDS, _last_convolution, path)
 
 
 def _last_convolution(model: onnx.ModelProto) -> list[str]:
-    """The convolution that makes the output: logits and metres need more than 8 bits."""
+    """The last convolution: logits, metres and weights need more than 8 bits."""
     return [node.name for node in model.graph.node if node.op_type == "Conv"][-1:]
 
 
