@@ -33,8 +33,9 @@ def recording(
         if entry["name"] in names:
             if camera is not None:
                 camera(entry)
-            for file in (path / entry["name"]).glob("*.png") if picture else ():
-                cv2.imwrite(str(file), np.ascontiguousarray(picture(cv2.imread(str(file), -1))))
+            if picture is not None:
+                for file in (path / entry["name"]).glob("*.png"):
+                    cv2.imwrite(str(file), np.ascontiguousarray(picture(cv2.imread(str(file), -1))))
     (path / "rig.json").write_text(json.dumps(rig))
     return path
 
@@ -63,8 +64,8 @@ def test_a_mirrored_camera_is_named_and_left_out_and_placed_where_it_is_to_be_me
     assert [camera.mirrored for camera in rig.cameras] == [False, True, False]
     mended, true = Recording(path, rig), Recording(DEMO)
     stamp = mended.stamps("cam1")[0]
-    depths = [source.rig["cam1"].to_metres(source.raw("cam1", stamp)) for source in (mended, true)]
-    assert np.array_equal(*depths)
+    depth, true_depth = (source.rig["cam1"].to_metres(source.raw("cam1", stamp)) for source in (mended, true))
+    assert np.array_equal(depth, true_depth)
 
 
 def test_a_unit_that_is_wrong_for_all_is_named_with_the_right_one(tmp_path, capsys) -> None:

@@ -361,6 +361,7 @@ def test_many_recordings_have_folders_of_their_own_and_are_done_once(recording, 
     assert main([*words[:3], str(tmp_path / "none"), *words[3:]]) == 2
     assert "1 of 3 recordings could not be processed" in capsys.readouterr().err.replace("\n", " ")
     alone = run(RunSettings(first, tmp_path / "alone", segment="none", report=False, formats=("npz",)))
+    assert alone.folder is not None
     for name in ("sway", "sway-2"):
         assert (out / name / "pose.csv").read_bytes() == (alone.folder / "pose.csv").read_bytes()
     stamps = [(out / name / "pose.csv").stat().st_mtime_ns for name in ("sway", "sway-2")]

@@ -260,15 +260,15 @@ def _camera_entry(camera: DepthCamera) -> dict[str, Any]:
 
 def _camera(entry: Mapping[str, Any]) -> DepthCamera:
     k1, k2, p1, p2, k3 = array(entry["distortion"], (5,), "distortion").tolist()
-    numbers = {key: number(entry[key], key) for key in ("fx", "fy", "cx", "cy")}
+    fx, fy, cx, cy = (number(entry[key], key) for key in ("fx", "fy", "cx", "cy"))
     camera = DepthCamera(
         str(entry["name"]),
         whole_number(entry["width"], "width"),
         whole_number(entry["height"], "height"),
-        **numbers,
+        fx, fy, cx, cy,
         world_from_camera=array(entry["world_from_camera"], (4, 4), "world_from_camera"),
         distortion=(k1, k2, p1, p2, k3),
         depth_unit_m=number(entry["depth_unit_m"], "depth_unit_m"),
-    )
+    )  # fmt: skip
     check_camera(camera, f"camera {camera.name}")
     return camera
