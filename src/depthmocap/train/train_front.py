@@ -107,9 +107,14 @@ def turned_in_picture(batch: FrontBatch, angles: Tensor, scales: Tensor) -> Fron
     return FrontBatch(inputs, fronts)
 
 
+def _nearness(fronts: Tensor) -> Tensor:
+    """Logarithms (n, 64), but for a sum, of the von Mises–Fisher distributions of fronts (n, 3) at the directions."""
+    return CONCENTRATION * fronts @ torch.from_numpy(DIRECTIONS.astype(np.float32)).T.to(fronts.device)
+
+
 def log_odds(logits: Tensor, fronts: Tensor) -> Tensor:
-    """Log odds (n,) of fronts (n, 3) against their opposites, as ``FrontNetwork.log_odds``."""
-    near = CONCENTRATION * fronts @ torch.from_numpy(DIRECTIONS.astype(np.float32)).T.to(fronts.device)
+    """Log odds (n,) of fronts (n, 3) against their opposites, as ``classify.front.log_odds``."""
+    near = _nearness(fronts)
     return torch.logsumexp(logits + near, -1) - torch.logsumexp(logits - near, -1)
 
 
@@ -118,8 +123,7 @@ def front_loss(logits: Tensor, fronts: Tensor) -> Tensor:
     known = fronts.isfinite().all(1)
     if not known.any():
         return logits.sum() * 0
-    near = CONCENTRATION * fronts[known] @ torch.from_numpy(DIRECTIONS.astype(np.float32)).T.to(fronts.device)
-    return nn.functional.cross_entropy(logits[known], near.softmax(-1))
+    return nn.functional.cross_entropy(logits[known], _nearness(fronts[known]).softmax(-1))
 
 
 class _Run(TrainingRun[FrontNet, FrontBatch]):
