@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from depthmocap.geometry.depth_camera import DepthCamera
+from depthmocap.geometry.floor_area import FloorArea
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -55,11 +56,13 @@ class FrameSource(abc.ABC):
 
     Attributes:
         up: the world's up axis: "z", "y" or "-y".
+        area_m: corners of the area of the floor in which people are followed; empty for everywhere.
         continuous: whether frame sets follow each other in time, so that poses may be smoothed.
         camera_names: of the cameras that are known before a frame is read.
     """
 
     up: str = "z"
+    area_m: FloorArea = ()
     continuous: bool = True
     camera_names: tuple[str, ...] = ()
 

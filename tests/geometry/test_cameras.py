@@ -140,11 +140,11 @@ def test_rig_round_trip(tmp_path: Path) -> None:
         (make_camera("left", distortion=lens, depth_unit_m=0.0002, time_offset_s=-0.125), make_camera("right")), "-y"
     )
     mended = dataclasses.replace(rig["right"], depth_factor=4.0, mirrored=True)
-    rig = Rig((rig["left"], mended), rig.up)
+    rig = Rig((rig["left"], mended), rig.up, ((-1.0, 0.5), (2.0, 0.5), (2.0, 3.0)))
     save_rig(rig, tmp_path / "rig.json")
     loaded = load_rig(tmp_path / "rig.json")
     assert loaded.names == ("left", "right")
-    assert loaded.up == "-y"
+    assert (loaded.up, loaded.area_m) == ("-y", rig.area_m)
     for name in rig.names:
         for field in dataclasses.fields(DepthCamera):
             np.testing.assert_array_equal(getattr(loaded[name], field.name), getattr(rig[name], field.name))
@@ -161,7 +161,7 @@ def test_rig_defaults(tmp_path: Path) -> None:
     path = tmp_path / "rig.json"
     path.write_text(json.dumps(plain_document()))
     rig = load_rig(path)
-    assert rig.up == "z"
+    assert (rig.up, rig.area_m) == ("z", ())
     assert rig["b"].distortion == LENSES["none"]
     assert rig["b"].depth_unit_m == 0.001
 
@@ -231,6 +231,10 @@ def _mirrored(document: dict[str, Any]) -> None:
         (_set("name", "a"), "names must differ"),
         (lambda d: d.update(up="x"), 'up must be "z", "y" or "-y"'),
         (lambda d: d.update(up=None), "up must be"),
+        (lambda d: d.update(area_m=[0, 0, 1, 0, 1, 1]), "area_m must be a list of at most 1000 corners"),
+        (lambda d: d.update(area_m=[[0, 0], [1, 0], [1, "1"]]), "area_m must be a finite number"),
+        (lambda d: d.update(area_m=[[0, 0], [1, 0]]), "area_m needs at least three corners, got 2"),
+        (lambda d: d.update(area_m=[[0, 0], [1, 0], [2, 0]]), "area_m has corners that enclose nothing"),
     ],
 )
 def test_rig_errors(tmp_path: Path, spoil: Callable[[dict[str, Any]], Any], message: str) -> None:

@@ -229,10 +229,13 @@ def test_nobody_is_offered_a_background_that_is_there(tmp_path):
             for i in range(4):
                 writer.write(i * 100_000_000, floor)
         source = open_source(path)
-        way = _way_out(source, "auto")
+        way = _way_out(source, RunSettings(path, tmp_path / "out"))
         assert ("the empty scene of camera 'cam1' (background.png)" in way) == (len(known) == 1)
         assert "cam0" not in way
-        assert "--segment" not in _way_out(source, "none")
+        assert "area" not in way
+        settings = RunSettings(path, tmp_path / "out", segment="none", area=(0.0, 0.0, 1.0, 0.0, 1.0, 1.0))
+        way = _way_out(source, settings)
+        assert "--segment" not in way and "--area" in way
 
 
 def test_python_api(recording):

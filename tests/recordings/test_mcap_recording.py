@@ -1,5 +1,6 @@
 """Recordings in MCAP: exact, readable by others, and readable after any death of the writer."""
 
+import dataclasses
 import subprocess
 import sys
 import textwrap
@@ -66,7 +67,8 @@ def same_camera(a: DepthCamera, b: DepthCamera) -> bool:
 
 @pytest.mark.parametrize("coding", ["delta-zstd", "png", "raw"])
 def test_everything_comes_back_exactly(tmp_path: Path, coding: Coding) -> None:
-    path, rig = tmp_path / "rec.mcap", make_rig()
+    path = tmp_path / "rec.mcap"
+    rig = dataclasses.replace(make_rig(), area_m=((0.0, 0.0), (1.5, 0.0), (1.5, 2.0)))
     empty = make_frame(rig.cameras[1], 99)
     joints = np.random.default_rng(3).normal(size=(3, 18, 3))
     joints[1, 4] = np.nan
@@ -79,6 +81,7 @@ def test_everything_comes_back_exactly(tmp_path: Path, coding: Coding) -> None:
     assert recording.complete
     assert recording.problems == []
     assert (recording.up, recording.rig.names, recording.period_ns) == ("y", rig.names, PERIOD)
+    assert recording.area_m == rig.area_m
     assert all(map(same_camera, recording.rig.cameras, rig.cameras))
     assert len(recording) == 3
     for i, frame_set in enumerate(recording):

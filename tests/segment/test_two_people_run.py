@@ -1,5 +1,6 @@
 """``depthmocap run --people 2`` on two blocks that walk: a folder for each, on one clock, the same on any cores."""
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -11,7 +12,7 @@ from test_people_segmenter import RATE, Scene, body
 from depthmocap import RunSettings, run
 from depthmocap.exporting import read_csv
 from depthmocap.exporting.summary import read_summary
-from depthmocap.geometry import Rig
+from depthmocap.geometry import Rig, load_rig, save_rig
 from depthmocap.recordings.recording_writer import RecordingWriter
 
 SETS, START_NS = 8, 10**9
@@ -30,6 +31,22 @@ def recording(tmp_path_factory):
             raw = {view.camera.name: np.round(view.depth_m * 1000).astype(np.uint16) for view in frames.views}
             writer.write(START_NS + i * 10**9 // RATE, raw)
     return path
+
+
+def test_the_rig_tells_the_area_in_which_people_are_followed(recording, tmp_path, capsys):
+    right = ((0.2, -3.0), (3.0, -3.0), (3.0, 3.0), (0.2, 3.0))
+    rig = dataclasses.replace(load_rig(recording / "rig.json"), area_m=right)
+    save_rig(rig, tmp_path / "rig.json")
+
+    def middle_x(name, area=()):
+        out = tmp_path / name
+        run(RunSettings(recording, out, tmp_path / "rig.json", segment="background", area=area, report=False))
+        return float(np.nanmedian(read_csv(out / "pose.csv")[1][:, :, 0]))
+
+    assert middle_x("of the rig") > 0.6
+    assert "area_m in rig.json" in capsys.readouterr().err
+    assert middle_x("of the command", (-3.0, -3.0, 0.2, -3.0, 0.2, 3.0)) < -0.5
+    assert "area_m in rig.json" not in capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")

@@ -131,7 +131,7 @@ def mended_rig(rig: Rig, faults: Sequence[PictureFault]) -> Rig:
     for fault in faults:
         for name in fault.cameras if fault.certain else ():
             cameras[name] = mended_camera(cameras[name], fault)
-    return Rig(tuple(cameras.values()), rig.up)
+    return dataclasses.replace(rig, cameras=tuple(cameras.values()))
 
 
 def mended_camera(camera: DepthCamera, fault: PictureFault) -> DepthCamera:
@@ -176,4 +176,4 @@ def _with_factors(rig: Rig, factors: dict[str, float]) -> Rig:
     cameras = (
         dataclasses.replace(camera, depth_factor=camera.depth_factor * factors[camera.name]) for camera in rig.cameras
     )
-    return Rig(tuple(cameras), rig.up)
+    return dataclasses.replace(rig, cameras=tuple(cameras))

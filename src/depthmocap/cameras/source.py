@@ -29,6 +29,7 @@ from depthmocap.cameras.time_limit import CallTimeoutError, call_with_timeout
 from depthmocap.core.camera_names import check_camera_name
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
+from depthmocap.geometry.floor_area import FloorArea
 from depthmocap.text import camera_list
 
 #: Seconds that the reading thread waits for a frame before it checks whether it shall stop.
@@ -94,12 +95,14 @@ class DepthSource(abc.ABC):
     Attributes:
         name: the camera's name in the rig and in recordings.
         up: the world's up axis. A device does not know its pose: without a rig it stands upright at the origin.
+        area_m: corners of the area of the floor in which people are followed; empty for everywhere.
         lost_after_s: a camera that is silent for longer counts as lost, because SDKs do not report a pulled plug.
         reopens: a lost camera continues when it is opened again; False for files, which would start from the beginning.
         problems: messages for the user that do not end the reading, one line each. The reader removes what it shows.
     """
 
     up: str = "-y"
+    area_m: FloorArea = ()
     lost_after_s: float = 5.0
     reopens: bool = True
 

@@ -19,6 +19,7 @@ from depthmocap.core.output import write_file
 from depthmocap.core.reading.image_files import check_picture_size
 from depthmocap.core.reading.json_text import array, number, read_json, whole_number
 from depthmocap.errors import InputError
+from depthmocap.geometry.floor_area import FloorArea, parse_area
 from depthmocap.geometry.transforms import is_rigid, rigid_inverse, transform_points
 
 #: Largest distance of two cameras of a rig (metres): a larger one is in other units.
@@ -184,10 +185,11 @@ class DepthCamera:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rig:
-    """Cameras in one world, whose up axis is ``"z"``, ``"y"`` or ``"-y"``."""
+    """Cameras in one world, whose up axis is ``"z"``, ``"y"`` or ``"-y"``; ``area_m`` is where people are followed."""
 
     cameras: tuple[DepthCamera, ...]
     up: str = "z"
+    area_m: FloorArea = ()
 
     def __getitem__(self, name: str) -> DepthCamera:
         for camera in self.cameras:
@@ -302,7 +304,8 @@ def load_rig(path: Path) -> Rig:
     """Read ``rig.json``. A camera without ``world_from_camera`` is at the origin (see :func:`check_extrinsics`).
 
     Raises:
-        InputError: when the file is missing or malformed, a pose is not rigid, or two cameras share a name.
+        InputError: when the file is missing or malformed, a pose is not rigid, two cameras share a name, or the area
+            encloses nothing.
     """
     document = read_json(path, "a recording needs a rig.json that describes its cameras")
     entries = document.get("cameras") if isinstance(document, dict) else None
@@ -318,7 +321,7 @@ def load_rig(path: Path) -> Rig:
             f"{path}: two cameras are {distance_m:,.0f} m apart; the places in world_from_camera must be in metres "
             f"(divided by 1000, if they are in millimetres, {distance_m / 1000:.1f} m)"
         )
-    return Rig(cameras, check_up(document.get("up", "z"), str(path)))
+    return Rig(cameras, check_up(document.get("up", "z"), str(path)), parse_area(document.get("area_m", []), str(path)))
 
 
 def check_up(up: Any, where: str) -> str:
@@ -350,4 +353,5 @@ def save_rig(rig: Rig, path: Path) -> None:
         }
         for camera in rig.cameras
     ]
-    write_file(path, json.dumps({"up": rig.up, "cameras": entries}, indent=1) + "\n")
+    area = {"area_m": rig.area_m} if rig.area_m else {}
+    write_file(path, json.dumps({"up": rig.up, **area, "cameras": entries}, indent=1) + "\n")

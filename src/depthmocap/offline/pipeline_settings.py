@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from depthmocap.core.network_devices import Device, networks_on
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSource
 from depthmocap.geometry import check_extrinsics, load_rig
+from depthmocap.geometry.floor_area import FloorArea
 from depthmocap.offline.pipeline import Pipeline
 from depthmocap.pose.estimators import load_estimator
 from depthmocap.recordings.open_recording import open_recording
@@ -18,6 +20,9 @@ from depthmocap.recordings.recording import Recording
 from depthmocap.segment.choice import Choice, Subject
 from depthmocap.segment.load_segmenter import Segmentation, load_segmenter
 from depthmocap.smooth.filters import AUTO, Bones, Smoothing, load_filter
+
+#: What is told where the rig says in which area people are followed.
+RIG_AREA = "people are followed in the rig's area only (area_m in rig.json)"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -31,7 +36,8 @@ class PipelineSettings:
         people: follow up to so many.
         subject: whom to follow first: who shows most surface, who is nearest to the middle, who came first, or a
             person's number.
-        area: follow people in an area of the floor only: x and y (x and z where y is up) of its corners, in metres.
+        area: follow people in an area of the floor only: x and y (x and z where y is up) of its corners, in metres; by
+            default in the rig's area_m, if it has one.
         smooth: a filter over time. "average" is the paper's weighted average of the last frames, "fixed-lag" waits for
             later ones; "auto" is "kalman" for recordings and cameras, and "none" for sets of pictures that do not
             follow each other, such as UBC3V's sections.
@@ -57,14 +63,13 @@ class PipelineSettings:
     estimator: str = "votes"
     device: Device = "auto"
 
-    @property
-    def choice(self) -> Choice:
-        """Who is followed.
+    def choice_in(self, area_m: FloorArea) -> Choice:
+        """Who is followed: in the area of these settings, else in that of the rig.
 
         Raises:
             InputError: for an area that is none.
         """
-        return Choice(self.subject, self.area)
+        return Choice(self.subject, self.area or tuple(itertools.chain.from_iterable(area_m)))
 
 
 def open_source(path: Path | str, rig: Path | None = None) -> FrameSource:
@@ -116,7 +121,7 @@ def load_pipeline(
         pipeline = Pipeline(
             Classifier(settings.weights),
             load_estimator(settings.estimator),
-            load_segmenter(source, settings.segment, settings.people, settings.choice),
+            load_segmenter(source, settings.segment, settings.people, settings.choice_in(source.area_m)),
             source.up,
             smoothing,
         )

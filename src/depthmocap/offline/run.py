@@ -30,11 +30,10 @@ from depthmocap.exporting.summary import Quantiles, Summary, Take, count_problem
 from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.geometry.depth_camera import time_offsets_s
 from depthmocap.offline.pipeline import STAGES, Pipeline, Result, warm_up
-from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline, open_source
+from depthmocap.offline.pipeline_settings import RIG_AREA, PipelineSettings, load_pipeline, open_source
 from depthmocap.offline.run_report import Pictures, write_run_report
 from depthmocap.recordings.recording import Recording
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
-from depthmocap.segment.load_segmenter import Segmentation
 from depthmocap.text import camera_list, joined, offset_lines
 
 #: Frames of each camera that are looked at again if something is wrong.
@@ -83,6 +82,8 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
             warm_up(pipeline, first)
     for line in pipeline.devices.lines():
         console.print(f"  {line}")
+    if source.area_m and not settings.area:
+        console.print(f"  {RIG_AREA}")
     pictures = Pictures(len(source), source.up) if settings.report else None
     remove_results(settings.out)
     files, people_files = PoseFiles(settings.out, take), PeopleFiles(settings.out, take)
@@ -120,7 +121,7 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
     summary = files.summary
     if summary["gaps"] == summary["frames"]:
         others = [line for line in problem_lines(summary["problems"]) if line != NO_PERSON]
-        hint = joined(others) or _way_out(source, settings.segment)
+        hint = joined(others) or _way_out(source, settings)
         raise InputError(f"{settings.recording}: no person was found in any of {summary['frames']} frames: {hint}")
     if pictures is not None:
         with console.status("drawing the report"):
@@ -241,9 +242,11 @@ def _why_misplaced(source: FrameSource, settings: RunSettings, console: Console)
     return []
 
 
-def _way_out(source: FrameSource, segment: Segmentation) -> str:
+def _way_out(source: FrameSource, settings: RunSettings) -> str:
     """What may help where nobody is found and nothing else is wrong."""
-    ways = ["see that the cameras stand where the rig says (world_from_camera is no inverse) and that its up is right"]
+    segment = settings.segment
+    ways = ["see that people were in the area (--area, or the rig's area_m)"] if settings.area or source.area_m else []
+    ways += ["see that the cameras stand where the rig says (world_from_camera is no inverse) and that its up is right"]
     if segment in ("auto", "background") and isinstance(source, Recording):
         unknown = [name for name in source.rig.names if source.background(name) is None]
         ways += [f"give the empty scene of {camera_list(unknown)} (background.png)"] if unknown else []

@@ -57,7 +57,7 @@ class BackgroundSource(FrameSource):
     """A source of backgrounds without frames: what is known of the empty scenes before the first frame."""
 
     def __init__(self, rig: Rig, backgrounds: dict[str, Float[ndarray, "_ _"]]) -> None:
-        self.up, self.camera_names, self._backgrounds = rig.up, rig.names, backgrounds
+        self.up, self.area_m, self.camera_names, self._backgrounds = rig.up, rig.area_m, rig.names, backgrounds
 
     def background(self, name: str) -> Float[ndarray, "h w"] | None:
         """Depth of the empty scene in metres; None if the camera's source does not know it."""
@@ -113,6 +113,7 @@ class LiveCapture:
         #: Number of sets without a pose, because they came while the pipeline was prepared.
         self.sets_before_ready = 0
         self.up = rig.up if rig else (sources[0].up if sources else "z")
+        self.area_m = rig.area_m if rig else (sources[0].area_m if sources else ())
         self._recorded_minus: list[int] = []
         self._rig_watch = RigWatch(self.up, explain=True)
         self._between_sets: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
@@ -145,7 +146,7 @@ class LiveCapture:
         except InputError:
             self.reader.stop()
             raise
-        self._outlets.start(StreamSetup(Rig(tuple(self.reader.cameras.values()), self.up), people, self._tell))
+        self._outlets.start(StreamSetup(self.rig, people, self._tell))
         return self
 
     def __exit__(self, *failure: object) -> None:
@@ -200,6 +201,11 @@ class LiveCapture:
         """The cameras that were opened and not removed, by name."""
         return self.reader.cameras
 
+    @property
+    def rig(self) -> Rig:
+        """The same, with the world in which they stand."""
+        return Rig(tuple(self.reader.cameras.values()), self.up, self.area_m)
+
     def apart_m(self) -> dict[str, float]:
         """How far apart the cameras see the person (metres), by the extrinsics check."""
         return self._rig_watch.distances_m()
@@ -244,7 +250,7 @@ class LiveCapture:
         cameras = self.reader.cameras
         raw = {name: raw for name, raw in self.raw_backgrounds().items() if name in cameras}
         backgrounds = {name: cameras[name].to_metres(raw_depth) for name, raw_depth in raw.items()}
-        scenes = BackgroundSource(Rig(tuple(cameras.values()), self.up), backgrounds)
+        scenes = BackgroundSource(self.rig, backgrounds)
         if self._timer is not None:
             self._timer.cancel()
         pipeline = warm_up(self._make_pipeline(scenes), frames)
@@ -294,7 +300,7 @@ class Replay:
         """``make_pipeline`` is called with the recording, which has its backgrounds."""
         self.pipeline = make_pipeline(recording)
         self.ingest = FrameIngest(sync or SyncSettings(rate_hz=1e9 / recording.period_ns))
-        self.statistics, self.up = RunStatistics(), recording.up
+        self.statistics, self.up, self.area_m = RunStatistics(), recording.up, recording.area_m
         self._rig_watch = RigWatch(self.up, explain=True)
         self._recording, self._now_ns = recording, 0
         for camera in recording.rig.cameras:

@@ -31,7 +31,7 @@ from depthmocap.exporting.summary import Summary, Take, problem_lines, unsure_li
 from depthmocap.frames import Pose
 from depthmocap.geometry import load_rig
 from depthmocap.geometry.depth_camera import time_offsets_s
-from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline
+from depthmocap.offline.pipeline_settings import RIG_AREA, PipelineSettings, load_pipeline
 from depthmocap.realtime.dashboard import draw_dashboard
 from depthmocap.realtime.live_capture import LiveCapture, Replay
 from depthmocap.realtime.live_controls import LiveControls
@@ -138,6 +138,8 @@ def run_live(settings: LiveSettings, console: Console | None = None, served: Pag
         if settings.out is not None:
             remove_results(settings.out)
         take.up = capture.up
+        if capture.area_m and not settings.area:
+            console.print(f"• {RIG_AREA}")
         files = stack.enter_context(PoseFiles(settings.out, take))
         if settings.out is not None and (settings.people > 1 or page is not None):
             people_files = stack.enter_context(PeopleFiles(settings.out, take))

@@ -11,7 +11,6 @@ from depthmocap.core.network_devices import networks_on
 from depthmocap.errors import InputError
 from depthmocap.exporting.edits import LONGEST_NAME, Marker
 from depthmocap.frames import Pose
-from depthmocap.geometry import Rig
 from depthmocap.offline.pipeline import Pipeline
 from depthmocap.offline.pipeline_settings import PipelineSettings
 from depthmocap.realtime.live_capture import BackgroundSource, LiveCapture
@@ -136,10 +135,9 @@ class LiveControls:
 
     def learn_background(self) -> None:
         """Learn the empty scene anew; people are looked for anew, too, and their numbers begin at 1."""
-        rig = Rig(tuple(self._capture.reader.cameras.values()), self._capture.up)
-        own = self._settings
+        own, rig = self._settings, self._capture.rig
         with networks_on(own.device):
-            segmenter = load_segmenter(BackgroundSource(rig, {}), own.segment, self.people, own.choice)
+            segmenter = load_segmenter(BackgroundSource(rig, {}), own.segment, self.people, own.choice_in(rig.area_m))
 
         def change(pipeline: Pipeline) -> None:
             segmenter.people = self.people

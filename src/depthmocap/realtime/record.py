@@ -175,7 +175,8 @@ def _open_writer(
     """The new file, with the opened cameras and the backgrounds that their sources know."""
     opened = [source for source in sources if source.name in cameras]
     backgrounds = {source.name: raw for source in opened if (raw := source.raw_background) is not None}
-    recorded_rig = Rig(tuple(cameras.values()), rig.up if rig else opened[0].up)
+    world = rig or opened[0]
+    recorded_rig = Rig(tuple(cameras.values()), world.up, world.area_m)
     return McapWriter(settings.out, recorded_rig, backgrounds, settings.coding)
 
 

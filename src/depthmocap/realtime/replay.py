@@ -20,7 +20,6 @@ from depthmocap.core.settings import check_above_0
 from depthmocap.errors import InputError
 from depthmocap.exporting.stored_result import StoredResult, read_result
 from depthmocap.frames import FrameSet, Pose
-from depthmocap.geometry import Rig
 from depthmocap.offline.pipeline import PersonResult, Result
 from depthmocap.pose.cloud import merge_views
 from depthmocap.recordings.convert import timeline
@@ -131,7 +130,7 @@ def replay(settings: ReplaySettings, console: Console | None = None) -> int:
     if result is None and len(shows) < len(streams):
         other = next(stream.name for stream in streams if stream not in shows)
         raise InputError(f"{other} takes joints: tell with --result which run's")
-    rig = recording.rig if result is None else Rig(recording.rig.cameras, result.up)
+    rig = recording.rig if result is None else dataclasses.replace(recording.rig, up=result.up)
     outlets = Outlets(streams, lambda line: console.print(f"• {line}"))
     people = 1 if result is None else max(len(result.people), 1)
     outlets.start(StreamSetup(rig, people, console.print), at_once=True)

@@ -9,7 +9,6 @@ from depthmocap.cameras.source import DepthFrame
 from depthmocap.core.camera_names import safe_name
 from depthmocap.core.interrupts import deferred_interrupts
 from depthmocap.errors import InputError
-from depthmocap.geometry import Rig
 from depthmocap.realtime.live_capture import LiveCapture
 from depthmocap.realtime.mcap_recorder import McapRecorder
 from depthmocap.recordings.mcap_writer import McapWriter
@@ -45,7 +44,7 @@ class TakeRecording:
             if self._writer is not None:
                 raise InputError(f"{self.path} is being recorded: stop it first")
             reader = self._capture.reader
-            rig = Rig(tuple(reader.cameras.values()), self._capture.up)
+            rig = self._capture.rig
             backgrounds = {name: raw for name, raw in self._capture.raw_backgrounds().items() if name in rig.names}
             self._writer = McapWriter(path, rig, backgrounds)
             self.path = path

@@ -21,6 +21,7 @@ from depthmocap.core.reading.json_text import array, number_from_text, parse_jso
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.geometry.depth_camera import check_camera, check_up
+from depthmocap.geometry.floor_area import parse_area
 from depthmocap.recordings.depth_codec import decode_depth
 from depthmocap.recordings.mcap_file import Channel, McapFile, Message, iterate_topics
 from depthmocap.recordings.mcap_messages import (
@@ -123,7 +124,8 @@ class McapRecording(Recording):
             called = ", ".join(names.values())
             raise InputError(f"{self.path} has no depth frame of its cameras ({called}){self._why()}")
         stamps = {name: list(self._images[name].messages) if name in self._images else [] for name in names.values()}
-        return Rig(cameras, check_up(metadata.get("up", "z"), str(self.path))), stamps
+        area_m = parse_area(parse_json(metadata.get("area_m", "[]"), f"{self.path}: area_m"), str(self.path))
+        return Rig(cameras, check_up(metadata.get("up", "z"), str(self.path)), area_m), stamps
 
     def _check_first(self, name: str, stamps: list[int]) -> None:
         """Check the first readable frame. All frames have one writer, so a damaged first frame is only a lost one."""

@@ -16,6 +16,7 @@ whatever happens to this process afterwards.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import io
 import json
 import os
@@ -196,7 +197,7 @@ class Topics:
 
     def add(self, camera: DepthCamera) -> None:
         """Add a camera; ``describe`` logs it from now on."""
-        self.rig = Rig((*self.rig.cameras, camera), self.rig.up)
+        self.rig = dataclasses.replace(self.rig, cameras=(*self.rig.cameras, camera))
         self._channels_by_camera[camera.name] = self._make_channels(camera)
 
     def _images(self, camera: DepthCamera, kind: str, clock: str) -> Any:
@@ -320,7 +321,8 @@ class McapWriter:
         self._latest_ns = start_ns
         try:
             self._topics = Topics(self._sink.sdk, self._sink.context, rig, coding)
-            self._sink.metadata(METADATA, {"version": VERSION, "up": rig.up})
+            area = {"area_m": json.dumps(rig.area_m)} if rig.area_m else {}
+            self._sink.metadata(METADATA, {"version": VERSION, "up": rig.up, **area})
             self._topics.describe(start_ns)
             self._sink.flush()  # all frames need the calibrations, so they have a small chunk of their own
             for name, raw in (backgrounds or {}).items():

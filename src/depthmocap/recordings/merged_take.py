@@ -71,7 +71,9 @@ def write_take(
     Raises:
         InputError: when it cannot be written.
     """
-    rig = Rig(tuple(camera for recording in recordings for camera in _z_up(recording).cameras))
+    areas = {recording.area_m if recording.up == "z" else () for recording in recordings}
+    cameras = tuple(camera for recording in recordings for camera in _z_up(recording).cameras)
+    rig = Rig(cameras, area_m=areas.pop() if len(areas) == 1 else ())
     backgrounds = {
         name: raw
         for recording in recordings

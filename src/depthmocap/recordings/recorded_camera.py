@@ -55,7 +55,7 @@ class RecordedCamera(DepthSource):
         super().__init__(name)
         if name not in recording.rig.names:
             raise CameraError(f"{recording.path} has no camera {name!r}: it has {', '.join(recording.rig.names)}")
-        self.up = recording.up
+        self.up, self.area_m = recording.up, recording.area_m
         self._recording, self._playback_clock = recording, playback_clock or PlaybackClock()
         self._stamps = recording.stamps(name)
         if not self._stamps:

@@ -78,7 +78,7 @@ class Recording(FrameSource):
         self.rig, self._stamps = self._load()
         if rig is not None:
             self._place(rig)
-        self.up: str = self.rig.up
+        self.up, self.area_m = self.rig.up, self.rig.area_m
         self.camera_names = self.rig.names
         stamps = {name: camera_stamps for name, camera_stamps in self._stamps.items() if camera_stamps}
         for name in self.rig.names:
@@ -129,7 +129,7 @@ class Recording(FrameSource):
                 raise InputError(f"{self.path} has none of the rig's cameras ({', '.join(rig.names)}), but {missing}")
             self._note(f"{self.path}: cameras that the rig lacks are left out: {', '.join(missing)}")
         kept = (place_in_rig(camera, rig) for camera in self.rig.cameras if camera.name in rig.names)
-        self.rig = Rig(tuple(kept), rig.up)
+        self.rig = Rig(tuple(kept), rig.up, rig.area_m)
         self._stamps = {name: self._stamps[name] for name in self.rig.names}
 
     def _check_first(self, name: str, stamps: list[int]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
 
@@ -13,6 +14,7 @@ from numpy import ndarray
 
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, z_up_from
+from depthmocap.geometry.floor_area import check_area
 
 #: Whom to follow first: who shows most surface, who is nearest to the middle, who came first, or a person's number.
 Subject: TypeAlias = Literal["largest", "middle", "first"] | int
@@ -36,10 +38,7 @@ class Choice:
     def __post_init__(self) -> None:
         if len(self.area) % 2 or len(self.area) in (2, 4):
             raise InputError(f"--area takes x and y of at least three corners, got {len(self.area)} numbers")
-        if not np.isfinite(self.area).all():
-            raise InputError("--area takes numbers of metres")
-        if self.area and cv2.contourArea(self.corners) < 1e-4:
-            raise InputError("--area has corners that enclose nothing")
+        check_area(list(itertools.pairwise(self.area))[::2], "--area")
         if isinstance(self.subject, int) and self.subject < 1:
             raise InputError(f"--subject takes largest, middle, first or a number from 1, got {self.subject}")
 
