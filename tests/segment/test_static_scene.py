@@ -59,7 +59,6 @@ def test_person_before_a_background_frame(rng: np.random.Generator, noise: float
 def test_background_learnt_from_the_recording(walk: tuple[Frames, list[np.ndarray]], rng: np.random.Generator) -> None:
     frames, masks = walk
     segment = PersonSegmenter.from_recording(frames)
-    assert segment.has_background("cam0")
     assert segment.problems == []
     assert min(overlap(segment(view), mask) for view, mask in zip(frames.views, masks, strict=True)) > 0.9
     camera = make_camera()
@@ -155,7 +154,6 @@ def test_true_masks_and_mode_none(walk: tuple[Frames, list[np.ndarray]]) -> None
     masked = View(view.camera, view.depth_m, mask=walk[1][0])
     segment = PersonSegmenter.from_recording(Frames([masked] * 3))
     assert segment(masked) is masked.mask
-    assert not segment.has_background("cam0")
     assert not segment(view).any()  # nothing is known of this camera
     segment = PersonSegmenter.from_recording(walk[0], "none")
     np.testing.assert_array_equal(segment(view), view.depth_m > 0)

@@ -19,7 +19,7 @@ from numpy import ndarray
 from depthmocap.body.skeleton import JOINT_INDEX, MIRROR
 from depthmocap.calibration.joint_tracks import JointTrack, common_times, resample
 from depthmocap.calibration.pairs import AGREES_M, LEAST_JOINTS, estimate_pair, geman_mcclure, usable_joints
-from depthmocap.geometry import DepthCamera, transform_points
+from depthmocap.geometry import DepthCamera, largest_group, transform_points
 
 #: Length of the chain neck – hip – knee – ankle of an adult (metres): skeletons are scaled to it for comparison,
 CHAIN_M = 1.36
@@ -197,7 +197,7 @@ def _unit_faults(
     statures = [STATURE_PER_CHAIN * chain_m(track) for track in tracks]
     logs = {pair: float(np.log(fit.scale)) for pair, fit in pairs.items() if fit.scale is not None}
     same = {pair for pair, log in logs.items() if abs(log) < np.log(SAME_UNIT)}
-    group = largest_group(len(cameras), same)
+    group = largest_group(range(len(cameras)), same)
     faults: list[PictureFault] = []
     rest = [i for i in range(len(cameras)) if i not in group and np.isfinite(statures[i])]
     if len(group) < 2:
@@ -266,7 +266,7 @@ def _mirror_faults(cameras: Sequence[DepthCamera], pairs: dict[tuple[int, int], 
     wrong = {pair for pair, is_mirrored in told.items() if is_mirrored}
     if not wrong:
         return []
-    group = largest_group(len(cameras), set(told) - wrong)
+    group = largest_group(range(len(cameras)), set(told) - wrong)
     blamed = sorted({i for pair in wrong for i in pair} - set(group)) if len(group) > 1 else []
     how = '"mirrored": true in rig.json exchanges left and right'
     faults = [
@@ -281,21 +281,6 @@ def _mirror_faults(cameras: Sequence[DepthCamera], pairs: dict[tuple[int, int], 
         text = f"the picture of either camera {names[0]!r} or camera {names[1]!r} is mirrored: {how} of the one that is"
         faults.append(PictureFault("mirror", (names[0], names[1]), text, certain=False))
     return faults
-
-
-def largest_group(count: int, links: set[tuple[int, int]]) -> list[int]:
-    """The cameras that agree with each other: the largest set that links connect; one camera alone where two sets are
-    equally large."""
-    groups: list[set[int]] = [{i} for i in range(count)]
-    for a, b in links:
-        one, other = (next(group for group in groups if i in group) for i in (a, b))
-        if one is not other:
-            one |= other
-            groups.remove(other)
-    groups.sort(key=len, reverse=True)
-    if len(groups) > 1 and len(groups[0]) == len(groups[1]):
-        return []
-    return sorted(groups[0])
 
 
 def _common_factors(stature_m: float) -> list[float]:

@@ -17,8 +17,8 @@ from numpy import ndarray
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.calibration.joint_tracks import JointTrack, Skeletons, common_times, resample
 from depthmocap.calibration.pairs import LEAST_JOINTS, estimate_pair, usable_joints
-from depthmocap.calibration.picture_faults import largest_group, round_factor
-from depthmocap.geometry import DepthCamera, rigid_inverse, transform_points, z_up_from
+from depthmocap.calibration.picture_faults import round_factor
+from depthmocap.geometry import DepthCamera, largest_group, rigid_inverse, transform_points, z_up_from
 from depthmocap.text import camera_list
 
 #: Two cameras fit if half of their joints are within this (metres): single views of right ones are 3 to 7 cm apart.
@@ -191,7 +191,7 @@ class _Judge:
         fitting = {pair for pair, apart in distances.items() if apart < APART_M}
         if len(fitting) == len(self.pairs):
             return self.tilted(range(count))
-        group = largest_group(count, fitting)
+        group = largest_group(range(count), fitting)
         if len(group) > 1:
             faults = [self.fault_of(i, group) for i in range(count) if i not in group and self.has_pair(i, group)]
             return [fault for fault in faults if fault is not None] + self.tilted(group)

@@ -12,10 +12,9 @@ from numpy import ndarray
 from rich.console import Console
 from rich.table import Table
 
-from depthmocap.calibration.picture_faults import largest_group
 from depthmocap.calibration.pose_faults import moved
 from depthmocap.calibration.verdict import PairVerdict
-from depthmocap.geometry import Rig, rigid_inverse, transform_points
+from depthmocap.geometry import Rig, largest_group, rigid_inverse, transform_points
 from depthmocap.text import camera_list
 
 State = Literal["good", "bumped", "unknown"]
@@ -93,7 +92,7 @@ def check_rig(
     names = found.names
     places = {tuple(names.index(name) for name in pair.cameras): pair for pair in pairs}
     good = {(a, b) for (a, b), pair in places.items() if pair.state == "good"}
-    group = largest_group(len(names), good)
+    group = largest_group(range(len(names)), good)
     cameras = []
     for i, name in enumerate(names):
         others = [j for j in group if j != i] if len(group) > 1 else [j for j in range(len(names)) if j != i]

@@ -51,7 +51,7 @@ class Edit:
 
 
 @dataclasses.dataclass(frozen=True)
-class Marker:
+class TakeMarker:
     """A name for an instant, such as "trial 3"."""
 
     timestamp_ns: int
@@ -68,7 +68,7 @@ class Edits:
 
     digest: str
     edits: tuple[Edit, ...] = ()
-    markers: tuple[Marker, ...] = ()
+    markers: tuple[TakeMarker, ...] = ()
 
 
 def read_edits(folder: Path, digest: str) -> Edits:
@@ -93,7 +93,7 @@ def read_edits(folder: Path, digest: str) -> Edits:
     for i, entry in enumerate(_entries(document, "markers", path)):
         where = f"{path}: marker {i + 1}"
         stamp = whole_number(entry.get("timestamp_ns"), f"{where}: timestamp_ns")
-        markers.append(Marker(stamp, _name(entry, "text", where)))
+        markers.append(TakeMarker(stamp, _name(entry, "text", where)))
     return Edits(digest, tuple(edits), tuple(markers))
 
 

@@ -18,7 +18,7 @@ from depthmocap.core.output import make_inner_folder, write_json
 from depthmocap.core.version import __version__
 from depthmocap.errors import InputError
 from depthmocap.exporting.body_motion import solve_body
-from depthmocap.exporting.edits import Marker
+from depthmocap.exporting.edits import TakeMarker
 from depthmocap.exporting.exported_take import ExportedTake, exported_take
 from depthmocap.exporting.file_formats import FORMATS, check_formats
 from depthmocap.exporting.file_settings import FileSettings, FormatName
@@ -132,7 +132,7 @@ def write_formats(result: StoredResult, settings: FileSettings, formats: Sequenc
     return paths
 
 
-def write_more_formats(settings: FileSettings, folder: Path, markers: Sequence[Marker] = ()) -> list[str]:
+def write_more_formats(settings: FileSettings, folder: Path, markers: Sequence[TakeMarker] = ()) -> list[str]:
     """Write the formats of a new take that are not yet in its folder; returns problems, one line each, for the take
     itself is there in any case. CSV adds columns to pose.csv, in which all joints stay as they were measured.
 

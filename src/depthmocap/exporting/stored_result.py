@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 
 from depthmocap.errors import InputError
-from depthmocap.exporting.edits import EDITS_FILE, Edits, Marker, apply_edits, read_edits
+from depthmocap.exporting.edits import EDITS_FILE, Edits, TakeMarker, apply_edits, read_edits
 from depthmocap.exporting.summary import SUMMARY_FILE, Summary, read_summary
 from depthmocap.recordings.pose_table import PoseTable, read_table
 
@@ -58,7 +58,7 @@ class StoredResult:
     edits: Edits
 
     @property
-    def markers(self) -> tuple[Marker, ...]:
+    def markers(self) -> tuple[TakeMarker, ...]:
         """Named instants, in the order of time."""
         return tuple(sorted(self.edits.markers, key=lambda marker: marker.timestamp_ns))
 

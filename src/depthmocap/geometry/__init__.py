@@ -1,5 +1,6 @@
 """Rigid transforms, depth cameras and rigs."""
 
+from depthmocap.geometry.camera_groups import largest_group
 from depthmocap.geometry.depth_camera import DepthCamera, Rig, check_extrinsics, load_rig, save_rig
 from depthmocap.geometry.transforms import (
     is_rigid,
@@ -15,6 +16,7 @@ __all__ = [
     "Rig",
     "check_extrinsics",
     "is_rigid",
+    "largest_group",
     "load_rig",
     "look_at",
     "rigid_inverse",

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from depthmocap.body.skeleton import SIDED
+from depthmocap.geometry import largest_group
 from depthmocap.pose.cloud import LabelledCloud
 from depthmocap.text import camera_list
 
@@ -119,14 +120,8 @@ class ExtrinsicsCheck:
             for pair, values in self._pairs.items()
             if len(values) >= FEWEST_SETS and float(np.median(values)) < MISPLACED_M
         }
-        groups = [{name} for name in names]
-        for a, b in agree:
-            one, other = (next((group for group in groups if name in group), None) for name in (a, b))
-            if one is not None and other is not None and one is not other:
-                one |= other
-                groups.remove(other)
-        largest = max(groups, key=len, default=set())
-        return [name for name in names if name not in largest] if len(largest) > 1 else []
+        group = largest_group(names, agree)
+        return [name for name in names if name not in group] if len(group) > 1 else []
 
     def distances_m(self) -> dict[str, float]:
         """Median distance (metres) of each camera's joints from the median of all cameras; of two cameras, between

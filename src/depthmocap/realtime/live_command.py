@@ -21,7 +21,7 @@ from depthmocap.core.interrupts import deferred_interrupts
 from depthmocap.core.locks import locks_outputs
 from depthmocap.core.settings import check_above_0, check_at_least
 from depthmocap.errors import InputError, missing_extra
-from depthmocap.exporting.edits import Edits, Marker, write_edits
+from depthmocap.exporting.edits import Edits, TakeMarker, write_edits
 from depthmocap.exporting.export_command import write_more_formats
 from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.exporting.result_files import PeopleFiles, PoseFiles, remove_results
@@ -110,7 +110,7 @@ def run_live(settings: LiveSettings, console: Console | None = None, served: Pag
         files: PoseFiles | None = None
         people_files: PeopleFiles | None = None
         recording: TakeRecording | None = None
-        markers: Sequence[Marker] = ()
+        markers: Sequence[TakeMarker] = ()
 
         def write_held(poses: Sequence[Pose], of_people: Mapping[int, Sequence[Pose]]) -> None:
             for pose in poses:
@@ -293,7 +293,7 @@ def _finish_files(
     }
 
 
-def _write_markers(out: Path, markers: Sequence[Marker]) -> None:
+def _write_markers(out: Path, markers: Sequence[TakeMarker]) -> None:
     if markers:
         digest = read_result(out, edited=False).edits.digest
         write_edits(out, Edits(digest, markers=tuple(markers)))

@@ -9,7 +9,7 @@ from typing import cast
 
 from depthmocap.core.network_devices import networks_on
 from depthmocap.errors import InputError
-from depthmocap.exporting.edits import LONGEST_NAME, Marker
+from depthmocap.exporting.edits import LONGEST_NAME, TakeMarker
 from depthmocap.frames import Pose
 from depthmocap.offline.pipeline import Pipeline
 from depthmocap.offline.pipeline_settings import PipelineSettings
@@ -49,7 +49,7 @@ class LiveControls:
         """
         self._capture, self._settings, self._recording = capture, settings, recording
         self._write_held, self.folder = write_held, folder
-        self.markers: list[Marker] = []
+        self.markers: list[TakeMarker] = []
         self.smoothing: str = AUTO if settings.smooth == "auto" else settings.smooth
         self.people = settings.people
 
@@ -152,7 +152,7 @@ class LiveControls:
             timestamp_ns: its time on the frames' clock, by default now.
         """
         stamp = time.monotonic_ns() if timestamp_ns is None else timestamp_ns
-        self.markers.append(Marker(stamp, text[:LONGEST_NAME]))
+        self.markers.append(TakeMarker(stamp, text[:LONGEST_NAME]))
         self._capture.mark(text[:LONGEST_NAME])
 
     def stop(self) -> None:

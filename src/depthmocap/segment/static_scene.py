@@ -85,10 +85,6 @@ class PersonSegmenter:
             segmenter._estimate(name, views)
         return segmenter
 
-    def has_background(self, name: str) -> bool:
-        """Whether the camera's empty scene is known."""
-        return name in self._limits
-
     def __call__(self, view: View) -> Bool[ndarray, "h w"]:
         """The person's mask; all False when nobody is there.
 

@@ -11,14 +11,14 @@ from depthmocap.core.settings import check_above_0, check_at_least
 from depthmocap.errors import InputError
 from depthmocap.synth.sample import Subset
 from depthmocap.train.batches import Ingredient, WindowSource
-from depthmocap.train.training_run import RunSettings, check_share
+from depthmocap.train.training_run import TrainingRunSettings, check_share
 from depthmocap.train.windows import default_subset
 
 Optimiser = Literal["adamw", "sgd"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ClassifierTraining(RunSettings):
+class ClassifierTraining(TrainingRunSettings):
     """Settings of one training run.
 
     Attributes:

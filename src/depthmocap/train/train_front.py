@@ -25,8 +25,8 @@ from depthmocap.train.onnx_export import export_windows_onnx
 from depthmocap.train.quantise import quantise_front
 from depthmocap.train.training_run import (
     Row,
-    RunSettings,
     TrainingRun,
+    TrainingRunSettings,
     check_device,
     check_share,
     data_loader,
@@ -53,7 +53,7 @@ _WRITTEN = ("front.safetensors", "front.onnx")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class FrontTraining(RunSettings):
+class FrontTraining(TrainingRunSettings):
     """Settings of one training run.
 
     Attributes:

@@ -22,8 +22,8 @@ from depthmocap.train.people_samples import IGNORED, PeopleExample, PeopleScenes
 from depthmocap.train.training_run import (
     ENDLESS,
     Row,
-    RunSettings,
     TrainingRun,
+    TrainingRunSettings,
     check_device,
     data_loader,
     prepare_folder,
@@ -46,7 +46,7 @@ _WRITTEN = ("people.safetensors", "people.onnx")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class PeopleTraining(RunSettings):
+class PeopleTraining(TrainingRunSettings):
     """Settings of one training run.
 
     Attributes:

@@ -55,7 +55,7 @@ _WRITTEN = ("history.jsonl", "curves.png")
 
 
 @dataclasses.dataclass(frozen=True)
-class RunSettings:
+class TrainingRunSettings:
     """Settings of one training run.
 
     Attributes:
@@ -116,7 +116,7 @@ class TrainingRun(abc.ABC, Generic[_Net, _Batch]):
 
     def __init__(
         self,
-        settings: RunSettings,
+        settings: TrainingRunSettings,
         make_network: Callable[[], _Net],
         make_optimiser: Callable[[_Net], torch.optim.Optimizer],
     ) -> None:
@@ -274,7 +274,7 @@ def _saved_at_interruption(run: TrainingRun[Any, Any]) -> Iterator[None]:
         raise
 
 
-def prepare_folder(settings: RunSettings, written: Collection[str], free: Collection[str]) -> None:
+def prepare_folder(settings: TrainingRunSettings, written: Collection[str], free: Collection[str]) -> None:
     """Claim the folder of the run for its settings; files of a run without a checkpoint are removed.
 
     Args:

@@ -13,7 +13,7 @@ from depthmocap.core.camera_names import safe_name
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import lock_folder
 from depthmocap.errors import InputError
-from depthmocap.exporting.edits import EDITS_FILE, LONGEST_NAME, Edit, Edits, Marker, read_edits, write_edits
+from depthmocap.exporting.edits import EDITS_FILE, LONGEST_NAME, Edit, Edits, TakeMarker, read_edits, write_edits
 from depthmocap.exporting.export_command import EXPORT_FILE, ExportSettings, export
 from depthmocap.exporting.file_settings import FormatName
 from depthmocap.exporting.stored_result import StoredResult
@@ -138,7 +138,7 @@ class EditControls:
             "trim": f"only {span}",
         }[edit.kind]
 
-    def _marker_choice(self, marker: Marker) -> str:
+    def _marker_choice(self, marker: TakeMarker) -> str:
         seconds = (marker.timestamp_ns - int(self._view.take.stamps_ns[0])) * 1e-9
         return plain(f"{seconds:.2f} s {marker.text}")
 
@@ -185,7 +185,7 @@ class EditControls:
         self._add(Edit("name", person, name=self.name.value[:LONGEST_NAME]))
 
     def _set_marker(self) -> None:
-        marker = Marker(self._stamp(self._view.player.index), self.text.value[:LONGEST_NAME])
+        marker = TakeMarker(self._stamp(self._view.player.index), self.text.value[:LONGEST_NAME])
         if not marker.text:
             raise InputError("write what the marker says")
         self._change(dataclasses.replace(self._edits, markers=(*self._edits.markers, marker)))
@@ -197,7 +197,7 @@ class EditControls:
         if self.marked.value == "go there":
             self._view.step(self._view.take.index_at(chosen[0].timestamp_ns) - self._view.player.index)
         else:
-            left: Sequence[Marker] = [marker for marker in self._edits.markers if marker != chosen[0]]
+            left: Sequence[TakeMarker] = [marker for marker in self._edits.markers if marker != chosen[0]]
             self._change(dataclasses.replace(self._edits, markers=tuple(left)))
 
     def _export(self) -> None:

@@ -14,8 +14,6 @@ from depthmocap.synth.scenes.solids import NONE, Solids, box, join, shell
 CAMERA_CLEARANCE_M = 0.5
 #: Least distance of furniture from a person's skin, metres.
 BODY_CLEARANCE_M = 0.05
-#: Least distance between pieces of furniture, metres.
-GAP_M = 0.03
 #: Largest distance from the person of furniture that does not stand at a wall, metres.
 _ABOUT_M = 3.0
 _TRIES = 8
