@@ -284,5 +284,14 @@ def test_a_bag_file_is_a_camera_that_ends(sdk: Any, tmp_path: Path) -> None:
     path.unlink()
     with pytest.raises(CameraError, match=r"Take 1.BAG does not exist"):
         source.__enter__()
+    path.write_bytes(b"#ROSBAG V2.0" + bytes(5000) + b"topic=/cam/sensor_3/frameType_3")
     with pytest.raises(InputError, match=r"as in depthmocap record orbbec:.*Take 1.BAG"):
+        open_recording(path)
+    path.write_bytes(b"#ROSBAG V2.0" + bytes(5000) + b"topic=/device_0/sensor_0/Depth_0/image/data")
+    with pytest.raises(InputError, match=r"as in depthmocap record realsense:.*Take 1.BAG"):
+        open_recording(path)
+    with pytest.raises(CameraError, match=r"recorded by a RealSense camera: name it realsense:.*Take 1.BAG"):
+        source.__enter__()
+    path.write_bytes(b"#ROSBAG V2.0" + bytes(5000) + b"topic=/robot/camera")
+    with pytest.raises(InputError, match=r"neither the RealSense SDK nor Orbbec's recorded"):
         open_recording(path)

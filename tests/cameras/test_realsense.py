@@ -1,5 +1,7 @@
 """The RealSense back end, through the SDK's own software device."""
 
+import contextlib
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,8 +10,9 @@ import pytest
 from depthmocap.cameras.modes import ModeRequest
 from depthmocap.cameras.realsense import MAKE, RealSenseCamera, find_cameras
 from depthmocap.cameras.registry import make_sources
-from depthmocap.cameras.source import CameraError, FrameTimeoutError
+from depthmocap.cameras.source import CameraError, DepthSource, FrameTimeoutError
 from depthmocap.errors import InputError
+from depthmocap.recordings.open_recording import open_recording
 
 try:
     rs = MAKE.load()
@@ -113,6 +116,59 @@ def test_modes() -> None:
             RealSenseCamera("front", request=request, device=Software().device).__enter__()
     (source,) = make_sources(["realsense:1?size=64x48"])
     assert source.name == "realsense-1"
+
+
+def test_a_recorded_file_is_a_camera_that_ends(tmp_path: Path) -> None:
+    path, software = tmp_path / "Take 1.db3", Software(usb="2.1")
+    recorder = rs.recorder(str(path), software.device)
+    (sensor,) = recorder.query_sensors()
+    profile = next(p for p in sensor.get_stream_profiles() if p.as_video_stream_profile().width() == WIDTH)
+    queue = rs.frame_queue(8)
+    sensor.open(profile)
+    sensor.start(queue)
+    for i in range(4):
+        software.deliver(picture(i), 1000.0 + 10 * i, i)
+        assert queue.try_wait_for_frame(5000)[0]
+    sensor.stop()
+    sensor.close()
+    del sensor, recorder  # which writes the file's end
+    with pytest.raises(InputError, match=r"as in depthmocap record realsense:.*Take 1.db3"):
+        open_recording(path)
+    (source,) = make_sources([f"realsense:{path}"])
+    assert source.name == "realsense-Take-1"
+    with source:
+        assert not source.reopens  # it would be played from its beginning again
+        assert (source.camera.fx, source.camera.cy) == (50.0, 23.5)
+        assert source.camera.depth_unit_m == pytest.approx(UNIT_M, rel=1e-6)
+        for i in range(4):
+            frame = source.read(5.0)
+            assert frame is not None
+            np.testing.assert_array_equal(frame.raw, picture(i))
+            assert (frame.timestamp_ns, frame.clock) == (
+                1_000_000_000 + i * 10_000_000,
+                "realsense 0123 hardware_clock",
+            )
+        assert _last(source) is None
+
+
+def _last(source: DepthSource) -> object:
+    """What comes after the last frame, once the SDK has noticed."""
+    for _ in range(100):
+        with contextlib.suppress(FrameTimeoutError):
+            return source.read(0.05)
+    raise AssertionError
+
+
+def test_files_that_are_no_recordings_of_its(tmp_path: Path) -> None:
+    for content, message in (
+        (b"something else", "is no recording of a RealSense camera"),
+        (b"topic=/cam/sensor_3/frameType_3", "recorded by an Orbbec camera: name it orbbec:"),
+    ):
+        (tmp_path / "x.bag").write_bytes(content)
+        with pytest.raises(CameraError, match=message):
+            RealSenseCamera("front", str(tmp_path / "x.bag")).__enter__()
+    with pytest.raises(InputError, match="not found"):
+        RealSenseCamera("front", str(tmp_path / "y.bag")).__enter__()
 
 
 def test_usb_2_is_told() -> None:

@@ -80,6 +80,29 @@ def _read_mkv(folder: Path) -> None:
     _read_through(folder / "rec.mkv")
 
 
+def _tum(folder: Path) -> None:
+    import cv2
+
+    (folder / "rec" / "depth").mkdir(parents=True)
+    for i in range(2):
+        picture = depth_of(DepthCamera("a", 640, 480, 1.0, 1.0, 0.0, 0.0), i)
+        cv2.imwrite(str(folder / "rec" / "depth" / f"{i}.5.png"), picture)
+    (folder / "rec" / "depth.txt").write_text("# depth maps\n0.5 depth/0.5.png\n1.5 depth/1.5.png\n")
+
+
+def _livescan(folder: Path) -> None:
+    import cv2
+    from mkv_file import calibration
+
+    client = folder / "rec" / "client_0"
+    client.mkdir(parents=True)
+    (client / "Intrinsics_Calib_0.json").write_bytes(calibration())
+    (client / "Timestamps_Client0.txt").write_text("0\t1000000\n1\t1033333\n")
+    for i in range(2):
+        picture = depth_of(DepthCamera("a", 320, 288, 1.0, 1.0, 0.0, 0.0), i)
+        cv2.imwrite(str(client / f"Depth_{i}.tiff"), picture)
+
+
 def _specs(folder: Path) -> None:
     lines = ("left=azure:000123?mode=nfov&fps=15", "realsense:923", "openni:a.oni?size=640x480", "rec#a")
     (folder / "cameras.spec").write_text("\n".join(lines))
@@ -102,5 +125,7 @@ RECORDINGS: dict[str, Reader] = {
     "recover": Reader(_MCAP_PLAIN, _recover, needs=_RECORD),
     "recover zstd": Reader(_MCAP_ZSTD, _recover, needs=_RECORD),
     "mkv": Reader(_mkv, _read_mkv),
+    "tum": Reader(_tum, _read_recording),
+    "livescan3d": Reader(_livescan, _read_recording),
     "camera specs": Reader(_specs, _read_specs),
 }

@@ -15,14 +15,15 @@ import numpy as np
 from depthmocap.cameras.lens import five_coefficients
 from depthmocap.cameras.modes import Mode, ModeRequest
 from depthmocap.cameras.sdk import CameraMake, checked
+from depthmocap.cameras.sdk_files import sdk_of
 from depthmocap.cameras.source import CameraError, ConnectedCamera, DepthFrame, DepthSource, FrameTimeoutError
 from depthmocap.geometry import DepthCamera
 
 MAKE = CameraMake("orbbec", "Orbbec camera", "pyorbbecsdk2", "pyorbbecsdk", lambda usb: usb.vendor == 0x2BC5)
 #: How long to wait (seconds) for a camera's first frame, which tells the depth scale.
 _FIRST_FRAME_S = 5.0
-#: Name ending of the recordings of the SDK's viewer.
-BAG = ".bag"
+#: Name endings of the recordings of the SDK's viewer.
+RECORDED = (".bag", ".mcap")
 #: The SDK's names of the lens models that ``five_coefficients`` covers.
 _LENSES = ("NONE", "BROWN_CONRADY", "BROWN_CONRADY_K6")
 
@@ -56,7 +57,7 @@ class OrbbecCamera(DepthSource):
     def __init__(self, name: str, address: str = "", request: ModeRequest | None = None) -> None:
         super().__init__(name)
         self._request = request or ModeRequest()
-        self._file = Path(address) if address.lower().endswith(BAG) else None
+        self._file = Path(address) if address.lower().endswith(RECORDED) else None
         self._serial = "" if self._file else address
         self.reopens = self._file is None
 
@@ -89,6 +90,8 @@ class OrbbecCamera(DepthSource):
     def _open_file(self, file: Path) -> Any:
         if not file.is_file():
             raise CameraError(f"{file} does not exist")
+        if sdk_of(file) == "realsense":
+            raise CameraError(f"{file} was recorded by a RealSense camera: name it realsense:{file}")
         _disable_log_file(self._sdk)
         try:
             device = self._sdk.PlaybackDevice(str(file))

@@ -34,7 +34,7 @@ RECORDED, SYNTHETIC = "recording", "synthetic"
 #: or scene. They belong to higher packages, so they are imported by name.
 _PLAYED = {RECORDED: "depthmocap.recordings.recorded_camera", SYNTHETIC: "depthmocap.synth.synthetic_camera"}
 #: Name endings of SDK recordings that stand as the address of a camera.
-_FILES = (".oni", ".bag")
+_FILES = (".oni", ".bag", ".db3", ".mcap")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -27,7 +27,7 @@ from depthmocap.recordings.recording import Recording
 from depthmocap.recordings.recording_writer import RecordingWriter
 
 #: Name endings of camera makers' files: every command takes such a name for a file, so no folder may have it.
-FOREIGN = (".mkv", ".oni", ".bag")
+FOREIGN = (".mkv", ".oni", ".bag", ".db3")
 
 
 @dataclasses.dataclass(frozen=True)

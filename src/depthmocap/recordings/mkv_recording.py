@@ -9,19 +9,16 @@ from __future__ import annotations
 import dataclasses
 import mmap
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from jaxtyping import UInt16
 from numpy import ndarray
 
-from depthmocap.cameras.lens import five_coefficients
-from depthmocap.cameras.sdk import checked
 from depthmocap.core.camera_names import safe_name
 from depthmocap.core.reading.input_files import open_file
-from depthmocap.core.reading.json_text import parse_json
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
+from depthmocap.recordings.azure_calibration import depth_camera, is_depth_size
 from depthmocap.recordings.recording import Recording
 from depthmocap.recordings.true_joints import TrueJoints
 
@@ -38,26 +35,6 @@ _NUMBER, _NAME, _PRIVATE, _WIDTH, _HEIGHT = 0xD7, 0x536E, 0x63A2, 0xB0, 0xBA
 _FILE_NAME, _FILE_DATA, _TAG_NAME, _TAG_TEXT = 0x466E, 0x465C, 0x45A3, 0x4487
 #: Codec of depth pictures: 16 bits a pixel, the high byte first.
 _FOURCC = b"b16g"
-#: Metres of one depth unit: the recorder writes millimetres.
-_UNIT_M = 0.001
-
-
-@dataclasses.dataclass(frozen=True)
-class _Mode:
-    """The part of the calibrated square sensor that a depth mode reads: the square's side and the corner (pixels)."""
-
-    square: int
-    left: int = 0
-    top: int = 0
-
-
-#: The camera's depth modes by picture size, from the SDK's sources.
-_MODES = {
-    (320, 288): _Mode(512, 96, 90),
-    (640, 576): _Mode(1024, 192, 180),
-    (512, 512): _Mode(512),
-    (1024, 1024): _Mode(1024),
-}
 
 
 def _elements(data: mmap.mmap) -> Iterator[tuple[int, int, int]]:
@@ -159,11 +136,10 @@ class MkvRecording(Recording):
         if depth is None:
             names = ", ".join(track.name or "one without name" for track in contents.tracks) or "none"
             raise InputError(f"{path} has no track DEPTH of an Azure Kinect; its tracks: {names}")
-        mode = _MODES.get((depth.width, depth.height))
-        if depth.fourcc != _FOURCC or mode is None:
+        if depth.fourcc != _FOURCC or not is_depth_size(depth.width, depth.height):
             raise InputError(f"{path} has depth of an unknown form ({depth.fourcc!r}, {depth.width}×{depth.height})")
         name = safe_name(path.stem)
-        camera = self._camera(name, depth, mode, contents)
+        camera = self._camera(name, depth, contents)
         size = 2 * depth.width * depth.height
         start_ns = self._start_ns(contents)
         self._frames: dict[int, tuple[int, int]] = {}
@@ -187,23 +163,11 @@ class MkvRecording(Recording):
             raise InputError(f"{self.path}: the tag K4A_START_OFFSET_NS must be nanoseconds, not {offset_ns!r}")
         return int(offset_ns)
 
-    def _camera(self, name: str, track: _Track, mode: _Mode, contents: _Contents) -> DepthCamera:
+    def _camera(self, name: str, track: _Track, contents: _Contents) -> DepthCamera:
         attached = contents.files.get(contents.tags.get("K4A_CALIBRATION_FILE", "calibration.json"))
         if attached is None:
             raise InputError(f"{self.path} has no calibration attached: was it written by k4arecorder?")
-        try:
-            document = parse_json(attached.rstrip(b"\0"), f"{self.path}: the attached calibration")
-            lenses = [_depth_lens(camera) for camera in document["CalibrationInformation"]["Cameras"]]
-            cx, cy, fx, fy, *k, _, _, p2, p1 = next(lens for lens in lenses if lens is not None)
-        except (ValueError, KeyError, TypeError, OverflowError, StopIteration):
-            raise InputError(f"{self.path}: the attached calibration of the depth camera cannot be read") from None
-        # The factory calibration is in units of the square's side, with the origin at the corner of its first pixel.
-        side = mode.square
-        lens = np.array([k[0], k[1], p1, p2, *k[2:]], np.float64)
-        return checked(DepthCamera(
-            name, track.width, track.height, fx * side, fy * side, cx * side - mode.left - 0.5,
-            cy * side - mode.top - 0.5, distortion=five_coefficients(lens), depth_unit_m=_UNIT_M,
-        ))  # fmt: skip
+        return depth_camera(name, (track.width, track.height), attached, f"{self.path}: the attached calibration")
 
     def device_time(self, name: str, stamp: int) -> tuple[int, str]:
         return stamp, self._clock
@@ -221,10 +185,3 @@ class MkvRecording(Recording):
 
     def _load_truth(self) -> TrueJoints | None:
         return None
-
-
-def _depth_lens(camera: dict[str, Any]) -> list[float] | None:
-    """The 14 lens parameters of the depth camera; None for another camera."""
-    if camera["Location"] != "CALIBRATION_CameraLocationD0":
-        return None
-    return [float(value) for value in camera["Intrinsics"]["ModelParameters"][:14]]
