@@ -24,6 +24,7 @@ from depthmocap.frames import View
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, Variation, posture_source
 from depthmocap.synth.sample import Recipe, Split, Subset
 from depthmocap.synth.sample import Sampler as SampleSampler
+from depthmocap.train.distributed import process_count, process_rank
 from depthmocap.train.training_run import ENDLESS
 from depthmocap.train.windows import Degradations, LabelledWindow, labelled_window, training_window
 
@@ -243,13 +244,13 @@ def training_batches(
 
 
 class Batches(Sampler[list[int]]):
-    """Indices 0 to size - 1, then the next ones, without end."""
+    """Indices 0 to size - 1, then the next ones, without end; of several processes that train each takes its turn."""
 
     def __init__(self, size: int) -> None:
         self.size = size
 
     def __iter__(self) -> Iterator[list[int]]:
-        start = 0
+        start = self.size * process_rank()
         while True:
             yield list(range(start, start + self.size))
-            start += self.size
+            start += self.size * process_count()

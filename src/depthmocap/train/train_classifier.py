@@ -14,12 +14,12 @@ from torch import Tensor, nn
 from torch.utils.data import Dataset
 
 from depthmocap.body.regions import UNLABELLED
-from depthmocap.core.locks import locks_outputs
 from depthmocap.errors import InputError
 from depthmocap.report.metrics import PixelAccuracy
 from depthmocap.train.batches import Batches, LabelledBatch, sorted_batches, training_batches
 from depthmocap.train.checkpoints import blend_weights, save_weights
 from depthmocap.train.classifier_settings import ClassifierTraining, Optimiser
+from depthmocap.train.distributed import process_rank, trains
 from depthmocap.train.networks import FastNet, Network, masked_outputs
 from depthmocap.train.onnx_export import export_onnx
 from depthmocap.train.paper_network import PaperNet
@@ -187,10 +187,12 @@ def _batches(run: _Run, data: Dataset[LabelledWindow]) -> Iterator[LabelledBatch
     loader = data_loader(data, settings.workers, batch_sampler=Batches(settings.batch))
     if run.network.learns_background:  # the windows of the paper's network are of one size
         return (batch for windows in loader for batch in sorted_batches(windows, settings.batch))
-    return training_batches(loader, settings.batch, settings.seed + run.images, "mirror" not in settings.without)
+    return training_batches(
+        loader, settings.batch, settings.seed + run.images + process_rank(), "mirror" not in settings.without
+    )
 
 
-@locks_outputs(folder="out")
+@trains
 def train_classifier(settings: ClassifierTraining) -> Path:
     """Train or resume training, and export; returns the ONNX file.
 
@@ -208,4 +210,4 @@ def train_classifier(settings: ClassifierTraining) -> Path:
     data = settings.source.train(run.images)
     valid = settings.source.valid(settings.valid_images)
     run_training(run, _batches(run, data), lambda: run.validate(valid))
-    return run.export(data)
+    return run.export(data) if process_rank() == 0 else settings.out / "classifier.onnx"

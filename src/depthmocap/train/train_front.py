@@ -15,11 +15,11 @@ from torch.utils.data import Dataset
 
 from depthmocap.body.trunk import front_of_trunk
 from depthmocap.classify.front import CONCENTRATION, DIRECTIONS
-from depthmocap.core.locks import locks_outputs
 from depthmocap.core.settings import check_above_0, check_at_least
 from depthmocap.errors import InputError
 from depthmocap.train.batches import Batches, WindowSource, sorted_batches, training_batches
 from depthmocap.train.checkpoints import save_weights
+from depthmocap.train.distributed import process_rank, trains
 from depthmocap.train.front_network import FrontNet, load_encoder
 from depthmocap.train.onnx_export import export_windows_onnx
 from depthmocap.train.quantise import quantise_front
@@ -208,9 +208,9 @@ def _batches(run: _Run, data: Dataset[LabelledWindow]) -> Iterator[FrontBatch]:
     """Training batches without end."""
     settings = run.settings
     loader = data_loader(data, settings.workers, batch_sampler=Batches(settings.batch))
-    rng = np.random.default_rng([settings.seed, run.images])
+    rng = np.random.default_rng([settings.seed, run.images + process_rank()])
     count = round(_TURNED * settings.batch)
-    for x, _, joints in training_batches(loader, settings.batch, settings.seed + run.images):
+    for x, _, joints in training_batches(loader, settings.batch, settings.seed + run.images + process_rank()):
         fronts = torch.from_numpy(front_of_trunk(joints.numpy()))
         angles, sizes = rng.normal(0, _TURN_RAD, count), np.exp(rng.normal(0, _SIZE, count))
         yield turned_in_picture(
@@ -219,7 +219,7 @@ def _batches(run: _Run, data: Dataset[LabelledWindow]) -> Iterator[FrontBatch]:
         )  # fmt: skip
 
 
-@locks_outputs(folder="out")
+@trains
 def train_front(settings: FrontTraining) -> Path:
     """Train or resume training, and export; returns the ONNX file.
 
@@ -235,4 +235,6 @@ def train_front(settings: FrontTraining) -> Path:
     run_training(run, _batches(run, data), lambda: run.validate(valid))
     run.add_row(run.validate(valid))
     run.write_history()
+    if process_rank() > 0:
+        return settings.out / "front.onnx"
     return run.export([data[i] for i in range(_CALIBRATION)])

@@ -13,9 +13,9 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import Dataset
 
-from depthmocap.core.locks import locks_outputs
 from depthmocap.core.settings import check_above_0, check_at_least
 from depthmocap.train.checkpoints import save_weights
+from depthmocap.train.distributed import process_count, process_rank, trains
 from depthmocap.train.people_export import export_people_onnx
 from depthmocap.train.people_network import PeopleNet
 from depthmocap.train.people_samples import IGNORED, PeopleExample, PeopleScenes
@@ -213,13 +213,14 @@ def _batches(run: _Run, scenes: PeopleScenes) -> Iterator[list[PeopleExample]]:
     """Batches without end, mixed from many scenes."""
     settings = run.settings
     loader = data_loader(
-        _Scenes(scenes, run.scenes), settings.workers, batch_size=None, shuffle=False, sampler=range(ENDLESS)
-    )
-    rng = np.random.default_rng([settings.seed, run.images])
+        _Scenes(scenes, run.scenes), settings.workers, batch_size=None, shuffle=False,
+        sampler=range(process_rank(), ENDLESS, process_count()),
+    )  # fmt: skip
+    rng = np.random.default_rng([settings.seed, run.images + process_rank()])
     mixed: list[PeopleExample] = []
     for drawn, examples in enumerate(loader, 1):
         mixed += examples
-        run.scenes += 1
+        run.scenes += process_count()
         # Begin early with few, so that the first steps do not wait for the whole mixture.
         while len(mixed) > max(settings.batch, 20 * min(_MIXED, drawn) * 0.8):
             chosen = set(rng.choice(len(mixed), settings.batch, replace=False).tolist())
@@ -227,7 +228,7 @@ def _batches(run: _Run, scenes: PeopleScenes) -> Iterator[list[PeopleExample]]:
             mixed = [example for i, example in enumerate(mixed) if i not in chosen]
 
 
-@locks_outputs(folder="out")
+@trains
 def train_people(settings: PeopleTraining) -> Path:
     """Train or resume training, and export; returns the ONNX file.
 
@@ -245,4 +246,6 @@ def train_people(settings: PeopleTraining) -> Path:
     run_training(run, training, lambda: run.validate(valid))
     run.add_row(run.validate(valid))
     run.write_history()
+    if process_rank() > 0:
+        return settings.out / "people.onnx"
     return run.export(example for batch in itertools.islice(training, _RANGE_BATCHES) for example in batch)

@@ -61,34 +61,50 @@ class PoseTraining:
             )
 
 
-@locks_outputs(folder="out")
 def train_pose(settings: PoseTraining, console: Console | None = None) -> list[Path]:
     """Collect the samples and fit the estimators; returns the files written.
 
     Raises:
         InputError: too few samples, or labels or weights that cannot be read.
     """
-    if settings.estimators != "ridge":
-        try:
-            import torch  # noqa: F401
-        except ModuleNotFoundError:
-            raise missing_extra("torch", "train") from None
     console = console or Terminal(stderr=True)
+    if settings.estimators == "ridge":
+        return _collect_and_fit(settings, console)
+    try:
+        import torch  # noqa: F401
+    except ModuleNotFoundError:
+        raise missing_extra("torch", "train") from None
+    from depthmocap.train.distributed import trains
+
+    return trains(_collect_and_train)(settings, console)
+
+
+@locks_outputs(folder="out")
+def _collect_and_fit(settings: PoseTraining, console: Console) -> list[Path]:
     samples = collect(settings.source, settings.out / "samples", console)
     write_json(settings.out / "settings.json", plain_settings(settings))
-    written = []
-    if settings.estimators != "votes":
-        written += [fit_bank(samples, labels, settings, console) for labels in LABELS if _has(samples, labels)]
-    if settings.estimators != "ridge":
-        from depthmocap.train.train_votes import VotesTraining, train_votes
+    return [fit_bank(samples, labels, settings, console) for labels in LABELS if _has(samples, labels)]
 
-        training = VotesTraining(
-            settings.minutes, settings.learning_rate, start=settings.start, bfloat16=settings.bfloat16
-        )
-        samples = append_parts(
-            samples, [read_samples(folder, PoseSampleSettings(views=())) for folder in settings.earlier]
-        )
-        written.append(train_votes(samples, training, settings.source.seed, settings.out, console))
+
+def _collect_and_train(settings: PoseTraining, console: Console) -> list[Path]:
+    """In each process that trains; the first collects the samples and fits the regressors."""
+    from depthmocap.train.distributed import process_rank, wait_for_all
+    from depthmocap.train.train_votes import VotesTraining, train_votes
+
+    written = []
+    if process_rank() == 0:
+        samples = collect(settings.source, settings.out / "samples", console)
+        write_json(settings.out / "settings.json", plain_settings(settings))
+        if settings.estimators == "all":
+            written += [fit_bank(samples, labels, settings, console) for labels in LABELS if _has(samples, labels)]
+        wait_for_all()
+    else:
+        console = Terminal(quiet=True)
+        wait_for_all()
+        samples = read_samples(settings.out / "samples", settings.source)
+    training = VotesTraining(settings.minutes, settings.learning_rate, start=settings.start, bfloat16=settings.bfloat16)
+    samples = append_parts(samples, [read_samples(folder, PoseSampleSettings(views=())) for folder in settings.earlier])
+    written.append(train_votes(samples, training, settings.source.seed, settings.out, console))
     return written
 
 

@@ -43,6 +43,7 @@ from depthmocap.pose.parts import (
 )
 from depthmocap.pose.ridge import grouped_folds
 from depthmocap.train.checkpoints import load_weights, save_weights
+from depthmocap.train.distributed import average_gradients, process_count, process_rank, same_everywhere
 from depthmocap.train.pose_samples import CollectedSamples
 from depthmocap.train.precision import in_bfloat16
 from depthmocap.train.training_run import LEAST_RATE, cosine_rate
@@ -194,7 +195,8 @@ class _Data:
     """CollectedSamples samples, split by groups of postures into training and validation."""
 
     def __init__(self, samples: CollectedSamples, seed: int) -> None:
-        self._samples, self._rng = samples, np.random.default_rng([seed, 11])
+        self._samples = samples
+        self._rng = np.random.default_rng([seed, 11, process_rank()] if process_rank() else [seed, 11])
         self._labels: list[Labels] = [k for k in LABELS if samples.parts[k][..., 0].any()]
         complete = np.all([samples.parts[k][..., 0].any((-1, -2)) for k in self._labels], axis=0)
         held_out = grouped_folds(samples.groups, _VALID_FOLDS) == 0
@@ -248,6 +250,7 @@ class _Run:
         loss = distance.mean() + _CONFIDENCE_WEIGHT * confidence_loss
         self._optimiser.zero_grad()
         loss.backward()
+        average_gradients(self._network)
         nn.utils.clip_grad_norm_(self._network.parameters(), 1.0)
         self._optimiser.step()
         self.steps += 1
@@ -264,7 +267,7 @@ def train_votes(samples: CollectedSamples, settings: VotesTraining, seed: int, o
     """Train on collected samples; writes votes.onnx and votes.safetensors and returns the former's path.
 
     The objective is the mean distance of the joints, and the cross-entropy of the probability of an error within
-    ``RIGHT_M``. Ctrl-C ends the training early, and the network so far is written.
+    ``RIGHT_M``. Ctrl-C ends the training early, and the network so far is written, by the first of several processes.
 
     Raises:
         InputError: for samples of fewer than two groups (motion clips), or weights that cannot be read.
@@ -277,9 +280,9 @@ def train_votes(samples: CollectedSamples, settings: VotesTraining, seed: int, o
     start = reported = time.monotonic()
     with Progress(console=console) as progress, _early_end(lambda: run.steps > 0, console):
         task = progress.add_task("votes", total=1.0)
-        while (share := (time.monotonic() - start) / 60 / settings.minutes) < 1:
+        while (share := same_everywhere((time.monotonic() - start) / 60 / settings.minutes)) < 1:
             distances.append(run.step(*data.draw_batch(), share))
-            count = run.steps * _BATCH
+            count = run.steps * _BATCH * process_count()
             progress.update(task, completed=share, description=f"{count} samples  {distances[-1]:.1f} cm")
             if time.monotonic() - reported > max(20, settings.minutes * 3):
                 reported = time.monotonic()
@@ -291,6 +294,8 @@ def train_votes(samples: CollectedSamples, settings: VotesTraining, seed: int, o
                 history.append(row)
                 progress.console.print({k: round(v, 3) for k, v in row.items()})
     network = run.best().eval()
+    if process_rank() > 0:
+        return out / "votes.onnx"
     save_weights(network, out / "votes.safetensors")
     write_file(out / "votes.jsonl", "".join(json.dumps(row) + "\n" for row in history))
     return export_votes(network, out / "votes.onnx")

@@ -30,6 +30,13 @@ from depthmocap.core.output import write_file
 from depthmocap.core.settings import check_at_least, check_seed, claim_folder
 from depthmocap.errors import InputError
 from depthmocap.train.checkpoints import load_weights, read_checkpoint
+from depthmocap.train.distributed import (
+    average_gradients,
+    process_count,
+    process_rank,
+    same_everywhere,
+    wait_for_all,
+)
 
 _Net = TypeVar("_Net", bound=nn.Module)
 _Batch = TypeVar("_Batch")
@@ -62,7 +69,7 @@ class TrainingRunSettings:
         out: folder of the run.
         images: number of pictures to train on.
         minutes: stop after this much training instead (the learning rate then follows the clock), 0 for no limit.
-        batch: pictures per step.
+        batch: pictures per step, of each process where ``torchrun`` starts several.
         schedule: of the learning rate: it falls to zero along a cosine, or stays.
         average: what is validated and kept is an average of the weights over about 1 / (1 - this) steps; 0 for the
             last weights.
@@ -170,8 +177,10 @@ class TrainingRun(abc.ABC, Generic[_Net, _Batch]):
         self.images, self.spent_s, self.history = state["done"], state["spent"], state["history"]
 
     def save(self) -> None:
-        """Write the checkpoint."""
+        """Write the checkpoint, in the first process."""
         self._saved_s = time.monotonic()
+        if process_rank() > 0:
+            return
         buffer = io.BytesIO()  # torch does not report a full disk in a way of its own
         torch.save(self.state(), buffer)
         write_file(self._checkpoint, buffer.getbuffer())
@@ -193,13 +202,18 @@ class TrainingRun(abc.ABC, Generic[_Net, _Batch]):
             return min(1.0, self.spent_s / 60 / self.settings.minutes)
         return min(1.0, self.images / self.settings.images)
 
+    @property
+    def step_images(self) -> int:
+        """Pictures per step, of all processes."""
+        return self.settings.batch * process_count()
+
     def rate_factor(self) -> float:
         """Factor of the peak learning rate at the next step."""
-        warm_up = (self.images + self.settings.batch) / _WARM_UP_IMAGES
+        warm_up = (self.images + self.step_images) / _WARM_UP_IMAGES
         return cosine_rate(self.progress if self.settings.schedule == "cosine" else 0.0, warm_up)
 
     def step(self, batch: _Batch) -> None:
-        """Train on one batch."""
+        """Train on one batch of each process."""
         factor = self.rate_factor()
         for group, peak in zip(self._optimiser.param_groups, self._peaks, strict=True):
             group["lr"] = peak * factor + LEAST_RATE
@@ -207,10 +221,11 @@ class TrainingRun(abc.ABC, Generic[_Net, _Batch]):
         objective = self.objective(batch)
         self._optimiser.zero_grad()
         objective.backward()
+        average_gradients(self.network)
         nn.utils.clip_grad_norm_(self.network.parameters(), _LARGEST_GRADIENT)
         self._optimiser.step()
         self._average.update_parameters(self.network)
-        self.images += self.settings.batch
+        self.images += self.step_images
 
     def add_row(self, numbers: Row) -> Row:
         """Add the numbers of a validation to the history; returns the whole row."""
@@ -219,7 +234,9 @@ class TrainingRun(abc.ABC, Generic[_Net, _Batch]):
         return row
 
     def write_history(self) -> None:
-        """Write the history and its curves."""
+        """Write the history and its curves, in the first process."""
+        if process_rank() > 0:
+            return
         from depthmocap.report.charts import loss_curves
 
         out = self.settings.out
@@ -238,10 +255,10 @@ class TrainingRun(abc.ABC, Generic[_Net, _Batch]):
 
 def run_training(run: TrainingRun[Any, _Batch], batches: Iterable[_Batch], validate: Callable[[], Row]) -> None:
     """Train until the run is done, and measure at intervals; a checkpoint is written after each validation, at times
-    between them, at Ctrl-C and at the end."""
+    between them, at Ctrl-C and at the end. Each process measures the same network, and the first one tells."""
     settings = run.settings
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Terminal()) as progress, _saved_at_interruption(run):
+    with Progress(*columns, console=Terminal(quiet=process_rank() > 0)) as progress, _saved_at_interruption(run):
         task = progress.add_task("training", total=1.0)
         progress.update(task, completed=run.progress)
         clock = time.monotonic()
@@ -250,7 +267,7 @@ def run_training(run: TrainingRun[Any, _Batch], batches: Iterable[_Batch], valid
                 break
             before = run.images
             run.step(batch)
-            run.spent_s += time.monotonic() - clock
+            run.spent_s = same_everywhere(run.spent_s + time.monotonic() - clock)
             clock = time.monotonic()
             progress.update(task, completed=run.progress, description=f"{run.images} images  {run.recent()}")
             if before // settings.valid_every != run.images // settings.valid_every:
@@ -275,7 +292,8 @@ def _saved_at_interruption(run: TrainingRun[Any, Any]) -> Iterator[None]:
 
 
 def prepare_folder(settings: TrainingRunSettings, written: Collection[str], free: Collection[str]) -> None:
-    """Claim the folder of the run for its settings; files of a run without a checkpoint are removed.
+    """Claim the folder of the run for its settings; files of a run without a checkpoint are removed. The first process
+    does so, and others wait.
 
     Args:
         written: files that this kind of run writes in addition to those of every run.
@@ -284,6 +302,9 @@ def prepare_folder(settings: TrainingRunSettings, written: Collection[str], free
     Raises:
         InputError: when the folder holds a run with other settings, or the weights to start from would be overwritten.
     """
+    if process_rank() > 0:
+        wait_for_all()
+        return
     out, names = settings.out, (*_WRITTEN, *written)
     if settings.start is not None and settings.start.resolve() in [(out / name).resolve() for name in names]:
         raise InputError(f"--start must not be a file that training writes, got {settings.start}: choose another --out")
@@ -291,6 +312,7 @@ def prepare_folder(settings: TrainingRunSettings, written: Collection[str], free
         for name in (*names, "settings.json"):
             (out / name).unlink(missing_ok=True)
     claim_folder(out, settings, "a run", (*_FREE, *free))
+    wait_for_all()
 
 
 def data_loader(data: Dataset[Any], workers: int, **options: Any) -> DataLoader[Any]:
