@@ -7,7 +7,7 @@ import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Float64, UInt8
 from numpy import ndarray
 
 from depthmocap.geometry.depth_camera import DepthCamera
@@ -42,6 +42,20 @@ class FrameSet:
     true_joints: Float[ndarray, "18 3"] | None = None
 
 
+#: Mean error of joints (metres) at a confidence: of 2,400 clouds of one or three cameras, of all sets of ``evaluate
+#: bench`` but those of clothes and sensors that training never shows, of validation clips.
+_ERROR_AT = np.array([
+    (0.0, 0.45), (0.05, 0.37), (0.1, 0.29), (0.2, 0.23), (0.3, 0.183), (0.5, 0.138), (0.7, 0.10), (0.8, 0.08),
+    (0.9, 0.061), (0.95, 0.048), (0.98, 0.038), (0.99, 0.031), (0.998, 0.0255), (0.999, 0.0225), (0.9995, 0.02),
+    (1.0, 0.0135),
+])  # fmt: skip
+
+
+def expected_error_m(confidence: Float[ndarray, "*n"]) -> Float64[ndarray, "*n"]:
+    """The mean distance from the truth (metres) of joints of such a confidence, as the estimator ``votes`` tells it."""
+    return np.interp(confidence, *_ERROR_AT.T)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Pose:
     """Joints of one instant in the world, metres; an unobserved joint is NaN with confidence 0."""
@@ -49,6 +63,11 @@ class Pose:
     timestamp_ns: int
     joints: Float[ndarray, "18 3"]
     confidence: Float[ndarray, "18"]
+
+    @property
+    def expected_error_m(self) -> Float64[ndarray, "18"]:
+        """Expected distance of each joint from the truth (metres), by its confidence; NaN of an unobserved joint."""
+        return np.where(np.isnan(self.joints).any(-1), np.nan, expected_error_m(self.confidence))
 
 
 class FrameSource(abc.ABC):

@@ -8,6 +8,7 @@ import pytest
 from depthmocap.body.regions import REGION
 from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
 from depthmocap.errors import InputError
+from depthmocap.frames import Pose, expected_error_m
 from depthmocap.report.metrics import CURVE_THRESHOLDS_CM, PixelAccuracy, joint_errors_cm, joint_metrics, reliability
 
 
@@ -75,7 +76,20 @@ def test_reliability_of_confidence() -> None:
     assert found.confidence == pytest.approx((0.21, 0.92))
     assert found.within_10cm == pytest.approx((0.0, 0.75))
     assert found.calibration_error == pytest.approx((2 * 0.21 + 4 * 0.17) / 6)
+    assert found.error_cm == pytest.approx((55.0, 10.5))
+    assert found.expected_error_cm == pytest.approx((22.5, 5.5), abs=0.5)
     assert np.isnan(reliability(confidence * np.nan, errors_cm).calibration_error)
+
+
+def test_expected_errors_fall_with_confidence() -> None:
+    confidence = np.linspace(0, 1, 200)
+    errors = expected_error_m(confidence)
+    assert (np.diff(errors) < 0).all()
+    assert errors[-1] < 0.02 < 0.4 < errors[0]
+    joints = np.zeros((18, 3))
+    joints[3] = np.nan
+    told = Pose(0, joints, np.full(18, 0.9)).expected_error_m
+    assert np.isnan(told[3]) and told[4] == pytest.approx(expected_error_m(np.array([0.9]))[0])
 
 
 def test_pixel_accuracy() -> None:

@@ -175,6 +175,13 @@ def _confident_joints(reliability: dict[str, Any]) -> dict[str, str]:
     return {"confidence 0.9 or more (within 10 cm)": f"{share:.1%} ({reliability['within_10cm'][-1]:.1%})"}
 
 
+def _expected_error(reliability: dict[str, Any]) -> str:
+    """The mean of what the confidences say of the errors."""
+    if not reliability["joints"]:
+        return "–"
+    return f"{np.average(reliability['expected_error_cm'], weights=reliability['joints']):.2f} cm"
+
+
 def _by_heading(numbers: dict[str, Any]) -> dict[str, str]:
     shares = numbers.get("turned_round_by_heading")
     if shares is None:
@@ -193,6 +200,7 @@ def print_numbers(title: str, numbers: dict[str, Any], console: Console) -> None
         "mean class accuracy": f"{numbers['class_accuracy']:.1%}",
         "pixels on the other side": f"{numbers['side_swap']:.2%}",
         "mean joint error": f"{numbers['mean_joint_error_cm']:.2f} cm",
+        "expected by the confidences": _expected_error(numbers["reliability"]),
         "within 10 cm": f"{numbers['within_10cm']:.1%}",
         **_confident_joints(numbers["reliability"]),
         "turned round (surely)": f"{numbers['turned_round']:.1%} ({numbers['turned_round_surely']:.1%})",

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from scipy.special import gammaincinv
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.core.output import atomic_write
@@ -18,31 +17,20 @@ from depthmocap.exporting.body_motion import BodyMotion, solve_body
 from depthmocap.exporting.exported_take import ExportedTake
 from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.exporting.timeline import Y_UP_FROM_Z_UP, FrameTimes, Timeline, evenly_spaced, frame_times
+from depthmocap.frames import expected_error_m
 
 #: What a C3D file's header can count.
 MOST_FRAMES = 65535
 #: C3D's mark of a point or rotation that is not known.
 _INVALID = -1.0
-#: A confidence is the probability that a joint is within this distance of the truth (mm).
-_WITHIN_MM = 100.0
-#: Confidences that a normal distribution gives a finite error other than 0.
-_LEAST, _MOST = 0.01, 0.9999
-
-
-def expected_error_mm(confidence: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
-    """The mean error of a joint of which the confidence lies within 100 mm, if errors are normal and alike in every
-    direction."""
-    # Distances are distributed as chi with three degrees of freedom: its quantile, and its mean.
-    deviation_mm = _WITHIN_MM / np.sqrt(2 * gammaincinv(1.5, np.clip(confidence, _LEAST, _MOST)))
-    return deviation_mm * np.sqrt(8 / np.pi)
 
 
 def write_c3d(path: Path, take: ExportedTake, settings: FileSettings) -> None:
     """Write everybody of a take into one file.
 
-    Points have the expected error as residual (:func:`expected_error_mm`), 0 where they were filled, and -1 where they
-    are not known. The group ROTATION has every bone's 4×4 matrix of rotation and origin; the axes of a bone are, at
-    rest, x the subject's left, y up and z forward. Markers are events, in time from the first frame.
+    Points have the expected error as residual (:func:`~depthmocap.frames.expected_error_m`), 0 where they were filled,
+    and -1 where they are not known. The group ROTATION has every bone's 4×4 matrix of rotation and origin; the axes of
+    a bone are, at rest, x the subject's left, y up and z forward. Markers are events, in time from the first frame.
 
     Raises:
         InputError: when ezc3d is not installed, the take is longer than a file can be, or it cannot be written.
@@ -111,7 +99,7 @@ def _points(
     """Points (mm, with the 1 that C3D's readers expect) and residuals."""
     unknown = np.asarray(np.isnan(motion.joints).any(-1))
     points = np.concatenate([motion.joints @ Y_UP_FROM_Z_UP * 1000, np.ones((*unknown.shape, 1))], -1)
-    residuals = np.where(motion.filled, 0.0, expected_error_mm(np.nan_to_num(confidence)))
+    residuals = np.where(motion.filled, 0.0, 1000 * expected_error_m(np.nan_to_num(confidence)))
     points[unknown] = 0.0  # as C3D has it
     return points, np.where(unknown, _INVALID, residuals)
 

@@ -13,6 +13,7 @@ from depthmocap.exporting.exported_take import ExportedTake
 from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.exporting.rotation_csv import rig_quaternions
 from depthmocap.exporting.timeline import y_up_from
+from depthmocap.frames import expected_error_m
 
 
 def write_npz(path: Path, take: ExportedTake, settings: FileSettings) -> None:
@@ -31,6 +32,7 @@ def write_npz(path: Path, take: ExportedTake, settings: FileSettings) -> None:
             timestamps_ns=person.table.stamps_ns,
             joints=motion.joints @ y_up_from(take.up),
             confidence=person.table.confidence,
+            expected_error_m=expected_error_m(person.table.confidence),
             filled=motion.filled,
             quaternions=rig_quaternions(motion, take.up),
             skeleton_joints=motion.positions() @ y_up_from(take.up),

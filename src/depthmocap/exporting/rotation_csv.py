@@ -1,4 +1,4 @@
-"""``pose.csv`` with the bones' rotations in added columns."""
+"""``pose.csv`` with the bones' rotations and the joints' expected errors in added columns."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from depthmocap.exporting.exported_take import ExportedTake
 from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.exporting.pose_csv import pose_row
 from depthmocap.exporting.timeline import y_up_from
-from depthmocap.frames import Pose
+from depthmocap.frames import Pose, expected_error_m
 from depthmocap.recordings.pose_table import HEADER
 
 ROTATION_COLUMNS: tuple[str, ...] = tuple(f"{joint}_q{axis}" for joint in JOINTS for axis in "xyzw")
+ERROR_COLUMNS: tuple[str, ...] = tuple(f"{joint}_expected_error" for joint in JOINTS)
 
 
 def rig_quaternions(motion: BodyMotion, up: str) -> Float[ndarray, "t 18 4"]:
@@ -32,7 +33,8 @@ def rig_quaternions(motion: BodyMotion, up: str) -> Float[ndarray, "t 18 4"]:
 
 
 def write_rotation_csv(path: Path, take: ExportedTake, settings: FileSettings) -> None:
-    """Write the columns of pose.csv, then ``<Joint>_qx``, ``_qy``, ``_qz`` and ``_qw``.
+    """Write the columns of pose.csv, then ``<Joint>_qx``, ``_qy``, ``_qz`` and ``_qw``, then ``<Joint>_expected_error``
+    (metres, NaN where the joint is, or was filled).
 
     Joints below the least confidence are NaN with confidence 0, and filled ones have confidence 0.
 
@@ -47,11 +49,10 @@ def write_rotation_csv(path: Path, take: ExportedTake, settings: FileSettings) -
     gaps = np.isnan(line.joints_y_up).any(-1)
     joints[gaps], confidence[gaps] = np.nan, 0.0
     joints[motion.filled] = (motion.joints @ y_up_from(take.up))[motion.filled]
-    rows = [",".join((*HEADER, *ROTATION_COLUMNS))]
-    for stamp_ns, *values, rotations in zip(
-        table.stamps_ns.tolist(), joints, confidence, rig_quaternions(motion, take.up).reshape(len(joints), -1),
-        strict=True,
-    ):  # fmt: skip
-        cells = ",".join(f"{value:.6f}" for value in rotations.tolist())
+    errors = np.where(confidence > 0, expected_error_m(confidence), np.nan)
+    added = np.concatenate([rig_quaternions(motion, take.up).reshape(len(joints), -1), errors], axis=1)
+    rows = [",".join((*HEADER, *ROTATION_COLUMNS, *ERROR_COLUMNS))]
+    for stamp_ns, *values, more in zip(table.stamps_ns.tolist(), joints, confidence, added, strict=True):
+        cells = ",".join(f"{value:.6f}" for value in more.tolist())
         rows.append(f"{pose_row(Pose(stamp_ns, *values), take.origin_ns)},{cells}")
     write_file(path, "\n".join(rows) + "\n")

@@ -13,6 +13,7 @@ from numpy import ndarray
 from depthmocap.body.regions import MIRROR, REGION_COUNT
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
+from depthmocap.frames import expected_error_m
 
 #: Thresholds (cm) of the precision curve.
 CURVE_THRESHOLDS_CM: tuple[int, ...] = tuple(range(31))
@@ -100,6 +101,8 @@ class Reliability:
         within_10cm: share (0–1) of the bin's joints within 10 cm of the truth; a calibrated confidence equals it.
         beyond_20cm: share (0–1) of the bin's joints farther than 20 cm from the truth.
         joints: number of joints in the bin.
+        error_cm: mean error of the bin's joints.
+        expected_error_cm: the mean of what their confidences say of it (:func:`~depthmocap.frames.expected_error_m`).
         calibration_error: mean difference between confidence and ``within_10cm`` over all joints; NaN without joints.
     """
 
@@ -107,6 +110,8 @@ class Reliability:
     within_10cm: tuple[float, ...]
     beyond_20cm: tuple[float, ...]
     joints: tuple[int, ...]
+    error_cm: tuple[float, ...]
+    expected_error_cm: tuple[float, ...]
     calibration_error: float
 
 
@@ -115,14 +120,15 @@ def reliability(confidence: Float[ndarray, "t j"], errors_cm: Float[ndarray, "t 
     known = ~(np.isnan(confidence) | np.isnan(errors_cm))
     confidence, errors_cm = confidence[known].astype(np.float64), errors_cm[known]
     bins = np.minimum((confidence * CONFIDENCE_BINS).astype(np.int64), CONFIDENCE_BINS - 1)
-    count, sums, hits, misses = (
-        np.bincount(bins, weights, CONFIDENCE_BINS) for weights in (None, confidence, errors_cm <= 10, errors_cm > 20)
-    )
+    count = np.bincount(bins, minlength=CONFIDENCE_BINS)
     filled = count > 0
-    means, near, far = sums[filled] / count[filled], hits[filled] / count[filled], misses[filled] / count[filled]
+    means, near, far, errors, expected = (
+        np.bincount(bins, values, CONFIDENCE_BINS)[filled] / count[filled]
+        for values in (confidence, errors_cm <= 10, errors_cm > 20, errors_cm, 100 * expected_error_m(confidence))
+    )
     error = float((np.abs(means - near) * count[filled]).sum() / count.sum()) if filled.any() else float("nan")
-    shares = (tuple(values.tolist()) for values in (means, near, far))
-    return Reliability(*shares, joints=tuple(count[filled].astype(int).tolist()), calibration_error=error)
+    means, near, far, errors, expected = (tuple(values.tolist()) for values in (means, near, far, errors, expected))
+    return Reliability(means, near, far, tuple(count[filled].tolist()), errors, expected, error)
 
 
 def joint_numbers(metrics: JointMetrics, confidence: Reliability | None = None) -> dict[str, Any]:
