@@ -15,7 +15,7 @@ from depthmocap import AnalyseSettings, InputError, analyse
 from depthmocap.analysis.measures import trials
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.cli import main
-from depthmocap.exporting.edits import Marker, write_edits
+from depthmocap.exporting.edits import TakeMarker, write_edits
 from depthmocap.exporting.stored_result import read_result
 from depthmocap.recordings.open_recording import packaged_recording
 
@@ -27,7 +27,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 
 def mark(folder: Path, *markers: tuple[float, str]) -> None:
     result = read_result(folder)
-    named = tuple(Marker(START_NS + round(time_s * 1e9), text) for time_s, text in markers)
+    named = tuple(TakeMarker(START_NS + round(time_s * 1e9), text) for time_s, text in markers)
     write_edits(folder, dataclasses.replace(result.edits, markers=named))
 
 

@@ -13,7 +13,7 @@ from test_results import COMES_AT, FRAMES, write
 
 from depthmocap.body.skeleton import MIRROR
 from depthmocap.errors import InputError
-from depthmocap.exporting.edits import EDITS_FILE, Edit, Edits, Marker, write_edits
+from depthmocap.exporting.edits import EDITS_FILE, Edit, Edits, TakeMarker, write_edits
 from depthmocap.exporting.stored_result import StoredResult, read_result
 
 
@@ -112,7 +112,9 @@ def test_corrections_are_kept_beside_the_result(tmp_path: Path) -> None:
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     result = read_result(tmp_path)
     edits = Edits(
-        result.edits.digest, (Edit("delete", 2), Edit("name", name="a")), (Marker(at(9), "b"), Marker(at(3), "a"))
+        result.edits.digest,
+        (Edit("delete", 2), Edit("name", name="a")),
+        (TakeMarker(at(9), "b"), TakeMarker(at(3), "a")),
     )
     write_edits(tmp_path, edits)
     after = read_result(tmp_path)

@@ -16,7 +16,7 @@ from depthmocap.body.skeleton import BONES, JOINT_INDEX, JOINTS
 from depthmocap.cli import main
 from depthmocap.errors import InputError
 from depthmocap.exporting import read_bvh, read_csv, read_trc
-from depthmocap.exporting.edits import Edit, Marker, write_edits
+from depthmocap.exporting.edits import Edit, TakeMarker, write_edits
 from depthmocap.exporting.export_command import ExportSettings, export, write_more_formats
 from depthmocap.exporting.exported_take import exported_take
 from depthmocap.exporting.file_formats import FORMATS, check_formats
@@ -52,7 +52,7 @@ def test_corrections_and_markers_are_applied(tmp_path: Path) -> None:
     truth = write_take(tmp_path / "take")
     result = read_result(tmp_path / "take")
     edits = (Edit("delete", 1), Edit("name", 2, name="Ada: L."))
-    markers = (Marker(START_NS + 10 * FRAME_NS, "trial 1"),)
+    markers = (TakeMarker(START_NS + 10 * FRAME_NS, "trial 1"),)
     write_edits(tmp_path / "take", dataclasses.replace(result.edits, edits=edits, markers=markers))
     export(ExportSettings(tmp_path / "take", tmp_path / "out", formats=("csv", "c3d")))
     assert [path.name for path in (tmp_path / "out").iterdir() if path.is_dir()] == ["person-2"]

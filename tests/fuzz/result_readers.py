@@ -61,14 +61,14 @@ def _read_animations(folder: Path) -> None:
 
 
 def _stored(folder: Path) -> None:
-    from depthmocap.exporting.edits import Edit, Edits, Marker, write_edits
+    from depthmocap.exporting.edits import Edit, Edits, TakeMarker, write_edits
     from depthmocap.exporting.stored_result import read_result
 
     _poses(folder)
     digest = read_result(folder).edits.digest
     exchange = Edit("exchange", 1, first_ns=START + PERIOD, last_ns=START + 2 * PERIOD)
     edits = (exchange, Edit("split", 1, 2, START + PERIOD), Edit("join", 1, 2), Edit("name", 1, name="a"))
-    write_edits(folder, Edits(digest, edits, (Marker(START, "b"),)))
+    write_edits(folder, Edits(digest, edits, (TakeMarker(START, "b"),)))
 
 
 def _read_stored(folder: Path) -> None:

@@ -16,7 +16,7 @@ from samples import EMPTY_RIG
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.core.console import Terminal
 from depthmocap.errors import InputError
-from depthmocap.exporting.edits import Marker
+from depthmocap.exporting.edits import TakeMarker
 from depthmocap.exporting.stored_result import read_result
 from depthmocap.exporting.summary import read_summary, write_summary
 from depthmocap.realtime import live_command
@@ -97,7 +97,7 @@ def test_markers_and_corrections(take: tuple[Path, Path], monkeypatch: pytest.Mo
         WebSocketStream, "mark", lambda self, marker: markers.append((marker.text, marker.monotonic_ns))
     )
     result = read_result(out)
-    edits = dataclasses.replace(result.edits, markers=(Marker(FIRST_NS + 80_000_000, "trial 3"),))
+    edits = dataclasses.replace(result.edits, markers=(TakeMarker(FIRST_NS + 80_000_000, "trial 3"),))
     monkeypatch.setattr("depthmocap.realtime.replay.read_result", lambda folder: result.edited(edits))
     replay(ReplaySettings(recording, out, ("ws://:0",), speed=2.0), QUIET)
     assert [sample.unix_ns for sample in samples] == [FIRST_NS + i * 40_000_000 for i in range(12)]

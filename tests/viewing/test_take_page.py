@@ -14,7 +14,7 @@ from viewed import COMES_AT, GAP, OFF_M, SETS
 
 from depthmocap.cli import main
 from depthmocap.errors import InputError
-from depthmocap.exporting.edits import Edit, Edits, Marker, write_edits
+from depthmocap.exporting.edits import Edit, Edits, TakeMarker, write_edits
 from depthmocap.exporting.stored_result import read_result
 from depthmocap.viewing.display_colours import confidence_colours, distance_colours
 from depthmocap.viewing.take_page import TakePage
@@ -99,7 +99,7 @@ def test_names_from_files_are_text(page: Page, result: Path) -> None:
     digest = read_result(result).edits.digest
     bad = "<img src=x onerror=alert(1)>"
     edits = (Edit("name", name=bad), Edit("name", 1, name=bad))
-    write_edits(result, Edits(digest, edits, (Marker(int(open_take((result,)).stamps_ns[0]), bad),)))
+    write_edits(result, Edits(digest, edits, (TakeMarker(int(open_take((result,)).stamps_ns[0]), bad),)))
     view = TakePage(page, open_take((result,)))
     view.draw(1)
     assert view.status.content.count("&lt;img src=x") == 3 and "<img" not in view.status.content
