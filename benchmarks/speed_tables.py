@@ -34,8 +34,23 @@ def measurements(clips: str, scale: Scale) -> dict[str, Measurement]:
         **{name: others[name] for name in ("motion", "people_meeting")},
         "soak_faults": Measurement(("soak.py", "--minutes", minutes[0]), cores=1),
         "soak_perfect": Measurement(("soak.py", "--minutes", minutes[1], "--no-faults"), cores=2),
+        **_views(scale),
         "codings": Measurement(("record_rows.py", *(("--samples", "1", "--rounds", "1") if quick else ()))),
     }
+
+
+#: Runs with a viewer and streams: name, heading, and what their command has besides.
+_VIEWED = {
+    "view_one": ("one person", ()),
+    "view_two": ("two people", ("--people", "2")),
+    "view_core": ("one person, `live` on one core", ("--live-cores", "0", "--other-cores", "1")),
+}
+
+
+def _views(scale: Scale) -> dict[str, Measurement]:
+    short = ("live_figures.py", "--minutes", str(max(scale.minutes / 3, 0.3)))
+    runs = {name: Measurement((*short, *words)) for name, (_, words) in _VIEWED.items()}
+    return {**runs, "view_memory": Measurement(("live_figures.py", "--minutes", str(scale.minutes)))}
 
 
 def _row(numbers: dict[str, Any], what: str) -> dict[str, Any]:
@@ -116,6 +131,43 @@ def live(numbers: dict[str, Any]) -> list[str]:
     return lines + [f"| {what} | {' | '.join(cells)} |" for what, cells in rows.items()]
 
 
+def _of_streams(run: dict[str, Any], key: str) -> str:
+    """A number (ms) of each stream."""
+    return ", ".join(f"{scheme} {stream[key]:.0f}" for scheme, stream in run["streams"].items()) + " ms"
+
+
+def views(numbers: dict[str, Any]) -> list[str]:
+    """Runs of the command with a page that is looked at and streams."""
+    runs = [numbers[name] for name in _VIEWED]
+    headings = [
+        f"{title}, {run['settings']['minutes']:g} minutes"
+        for (title, _), run in zip(_VIEWED.values(), runs, strict=True)
+    ]
+    unrecorded = [f"{run['frames_unrecorded']:,} of {sum(run['frames']['offered'].values()):,}" for run in runs]
+    rows: dict[str, tuple[str, list[str]]] = {
+        "sets a second, of 30": ("≥ 29.5; two people 24; one core 20",
+            [f"{run['sets_per_second']:.1f}" for run in runs]),
+        "sets left out": ("", [f"{run['sets_dropped']:,} of {run['sets_dropped'] + run['sets']:,}" for run in runs]),
+        "frames not recorded": ("0", unrecorded),
+        "last exposure of a set to the arrival of its packet, beyond the cameras' transport, p50":
+            ("", [_of_streams(run, "p50_ms") for run in runs]),
+        "the same, p95": ("≤ 45 ms", [_of_streams(run, "p95_ms") for run in runs]),
+        "memory of `live`, most": ("≤ 500 MB", [f"{run['memory']['mb_most']:.0f} MB" for run in runs]),
+        "the command to the first joint": ("≤ 3 s", [f"{run['start_s']:.1f} s" for run in runs]),
+        "cores used by `live`; by the cameras": ("",
+            [f"{run['cores']['live']:.2f}; {run['cores']['cameras']:.2f}" for run in runs]),
+    }  # fmt: skip
+    lines = [f"| | wanted | {' | '.join(headings)} |", "|---|---|" + "---|" * len(runs)]
+    lines += [f"| {what} | {goal} | {' | '.join(cells)} |" for what, (goal, cells) in rows.items()]
+    long, memory = numbers["view_memory"], numbers["view_memory"]["memory"]
+    grown = (
+        f"{_at(memory, 1):.0f} MB after a minute, {memory['mb_at_the_end']:.0f} MB at the end: "
+        f"{memory['mb_a_minute']:+.2f} MB a minute over the later half"
+    )
+    what = f"memory over {long['settings']['minutes']:g} minutes, one person"
+    return [*lines, f"| {what} | no growth | {grown} | | |"]
+
+
 def codings(numbers: dict[str, Any]) -> list[str]:
     """Codings of depth."""
     lines = ["| Coding | Ratio | Coded a second | Decoded a second |", "|---|---|---|---|"]
@@ -126,4 +178,4 @@ def codings(numbers: dict[str, Any]) -> list[str]:
     return lines
 
 
-TABLES = {"speed": stages, "live": live, "codings": codings}
+TABLES = {"speed": stages, "live": live, "views": views, "codings": codings}

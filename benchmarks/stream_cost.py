@@ -11,19 +11,16 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
-import multiprocessing
-import socket
 import time
-from collections.abc import Callable, Iterator, Sequence
-from multiprocessing.connection import Connection
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import tyro
 from rich.console import Console
 from rich.table import Table
+from stream_receivers import Arrivals, Scheme, receivers
 
 from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.cameras.registry import make_sources
@@ -35,8 +32,6 @@ from depthmocap.realtime.live_capture import LiveCapture
 from depthmocap.recordings.open_recording import open_recording, packaged_recording
 from depthmocap.streaming.addresses import open_stream
 from depthmocap.streaming.stream_protocol import Sample, Stream, StreamSetup
-
-Scheme = Literal["osc", "vmc", "ws", "foxglove"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,96 +69,11 @@ class Round:
     sample: Sample
 
 
-#: Exposure (milliseconds since 1970) and arrival (ns of the machine's monotonic clock) of every set.
-_Arrivals = dict[int, int]
-
-
-def _listen_osc(pipe: Connection) -> None:
-    """Receive by OSC until told to end; VMC tells no exposure, so that its sets are counted in order."""
-    from pythonosc.dispatcher import Dispatcher
-    from pythonosc.osc_server import BlockingOSCUDPServer
-
-    arrivals: _Arrivals = {}
-    dispatcher = Dispatcher()
-
-    def take(_: str, seconds: int, nanoseconds: int) -> None:
-        arrivals.setdefault(round(seconds * 1e3 + nanoseconds * 1e-6), time.monotonic_ns())
-
-    def take_bones(_: str, seconds: float) -> None:
-        arrivals[len(arrivals)] = time.monotonic_ns()
-
-    dispatcher.map("/depthmocap/time", take)
-    dispatcher.map("/VMC/Ext/T", take_bones)
-    with BlockingOSCUDPServer(("127.0.0.1", 0), dispatcher) as server:
-        server.timeout = 0.2
-        pipe.send(server.server_address[1])
-        while not pipe.poll():
-            server.handle_request()
-    pipe.send(arrivals)
-
-
-def _listen_ws(pipe: Connection, protocol: str = "") -> None:
-    """Connect, and receive until the server ends."""
-    from websockets.exceptions import ConnectionClosed
-    from websockets.sync.client import connect
-    from websockets.typing import Subprotocol
-
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    pipe.send(port)
-    arrivals: _Arrivals = {}
-    while not pipe.poll():
-        try:
-            connection = connect(
-                f"ws://127.0.0.1:{port}", subprotocols=[Subprotocol(protocol)] if protocol else None, close_timeout=0.1
-            )
-            break
-        except OSError:
-            time.sleep(0.01)
-    else:
-        return pipe.send(arrivals)
-    with contextlib.suppress(ConnectionClosed), connection:
-        for message in connection:
-            now_ns = time.monotonic_ns()
-            if isinstance(message, bytes):  # Foxglove's, of a subscription
-                arrivals.setdefault(round(int.from_bytes(message[5:13], "little") * 1e-6), now_ns)
-                continue
-            told = json.loads(message)
-            if "unix_s" in told:
-                arrivals.setdefault(round(told["unix_s"] * 1e3), now_ns)
-            for channel in told.get("channels", ()):
-                subscription = {"id": channel["id"], "channelId": channel["id"]}
-                connection.send(json.dumps({"op": "subscribe", "subscriptions": [subscription]}))
-    return pipe.send(arrivals)
-
-
-def _listen_foxglove(pipe: Connection) -> None:
-    _listen_ws(pipe, "foxglove.sdk.v1")
-
-
-_LISTENERS: dict[Scheme, Callable[[Connection], None]] = {
-    "osc": _listen_osc, "vmc": _listen_osc, "ws": _listen_ws, "foxglove": _listen_foxglove,
-}  # fmt: skip
-
-
 @contextlib.contextmanager
-def _receivers(schemes: Sequence[Scheme]) -> Iterator[tuple[list[str], dict[str, _Arrivals]]]:
-    """Receivers in processes of their own: the addresses of the streams, and at the end what arrived."""
-    context, arrived = multiprocessing.get_context("spawn"), dict[str, _Arrivals]()
-    started, addresses = [], []
-    for scheme in schemes:
-        ours, theirs = context.Pipe()
-        process = context.Process(target=_LISTENERS[scheme], args=(theirs,), daemon=True)
-        process.start()
-        started.append((scheme, process, ours))
-        addresses.append(f"{scheme}://127.0.0.1:{ours.recv()}")
-    yield addresses, arrived
-    for scheme, process, pipe in started:
-        with contextlib.suppress(BrokenPipeError):  # it has seen that the server ended
-            pipe.send(None)
-        arrived[scheme] = pipe.recv()
-        process.join()
+def _streams(schemes: Sequence[Scheme]) -> Iterator[tuple[list[str], dict[str, Arrivals]]]:
+    """The addresses of receivers, and at the end what arrived."""
+    with receivers(schemes) as (ports, arrived):
+        yield [f"{scheme}://127.0.0.1:{port}" for scheme, port in zip(schemes, ports, strict=True)], arrived
 
 
 class _Newest(Stream):
@@ -177,7 +87,7 @@ class _Newest(Stream):
 
 def send_ms(scheme: Scheme, sample: Sample, rig: Rig, times: int = 200) -> float:
     """CPU time of sending a sample to somebody who receives it, again and again."""
-    with _receivers([scheme]) as (addresses, _):
+    with _streams([scheme]) as (addresses, _):
         stream = open_stream(addresses[0])
         stream.start(StreamSetup(rig))
         time.sleep(1.0)  # until the receiver is connected
@@ -194,7 +104,7 @@ def play(recording: Path, pipeline: Pipeline, schemes: Sequence[Scheme]) -> Roun
     pipeline.reset()
     exposed_ns: dict[int, int] = {}
     newest = _Newest()
-    with _receivers(schemes) as (addresses, arrived):
+    with _streams(schemes) as (addresses, arrived):
         sources = make_sources([str(recording)], PlaybackClock(1.0))
         with LiveCapture(sources, pipeline=pipeline, streams=[newest, *addresses]) as capture:
             time.sleep(1.0 if schemes else 0.0)  # until everybody is connected: sets meanwhile are left out
@@ -208,7 +118,7 @@ def play(recording: Path, pipeline: Pipeline, schemes: Sequence[Scheme]) -> Roun
             dropped = capture.dropped
     latencies = {
         scheme: [
-            (arrived[scheme][key] - last_ns) * 1e-6 for key, last_ns in exposed_ns.items() if key in arrived[scheme]
+            (arrived[scheme][key].ns - last_ns) * 1e-6 for key, last_ns in exposed_ns.items() if key in arrived[scheme]
         ]
         for scheme in schemes
     }

@@ -99,6 +99,13 @@ def _speed() -> dict[str, Any]:
         "recording": {"lost": 0, "offered": {"a": 100_000, "b": 109_024}, "ratio": 2.45},
         "memory": {"mb": [[2.0, 1100.0], [61.0, 1216.0]], "mb_at_the_end": 1238.2, "mb_a_minute": 0.051},
     }  # fmt: skip
+    stream = {"p50_ms": 21.4, "p95_ms": 38.6}
+    viewed = {
+        "settings": {"minutes": 10.0}, "sets_per_second": 29.87, "sets": 17_990, "sets_dropped": 10,
+        "frames_unrecorded": 0, "frames": {"offered": {"a": 18_000, "b": 18_000}},
+        "streams": {"osc": stream, "ws": stream}, "memory": soak["memory"] | {"mb_most": 431.7}, "start_s": 2.64,
+        "cores": {"live": 0.71, "cameras": 0.05},
+    }  # fmt: skip
     coding = {"ratio": 2.65, "coded_a_second": 901.2, "decoded_a_second": None}
     return {
         **_people(), **_motion(), "demo": {"frames_by_camera": {"a": 1, "b": 1, "c": 1}, "frames_per_second": 31.2},
@@ -106,7 +113,9 @@ def _speed() -> dict[str, Any]:
             "machine": {"processor": "AMD EPYC", "usable_cores": 2},
             "rows": [{"what": what, "note": note, "ours": timing, "ratio": 6.6} for what, note in rows.items()],
         },
-        "soak_faults": soak, "soak_perfect": soak, "codings": {"codings": collections.defaultdict(lambda: coding)},
+        "soak_faults": soak, "soak_perfect": soak,
+        **dict.fromkeys(("view_one", "view_two", "view_core", "view_memory"), viewed),
+        "codings": {"codings": collections.defaultdict(lambda: coding)},
     }  # fmt: skip
 
 
