@@ -12,6 +12,7 @@ from samples import EMPTY_RIG, sample_of, standing_pose
 from scipy.spatial.transform import Rotation
 
 from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
+from depthmocap.errors import InputError
 from depthmocap.exporting.bone_rotations import joint_positions, rest_offsets
 from depthmocap.frames import Pose
 from depthmocap.geometry import Rig
@@ -141,6 +142,26 @@ def test_nobody_is_told_and_somebody_else_begins_anew(osc: OscReceiver) -> None:
     assert osc.of("/VMC/Ext/Root/Pos") == [("root", 0, 0, 0, 0, 0, 0, 1)] * 2
     addresses = [address for address, _ in osc.messages]
     assert addresses[-1] == "/VMC/Ext/T" and addresses[-2] == "/VMC/Ext/OK"
+
+
+def test_each_of_several_people_has_a_port_and_keeps_it(osc: OscReceiver) -> None:
+    told: list[str] = []
+    stream = open_stream(f"vmc://127.0.0.1:{osc.port - 1}")
+    stream.start(StreamSetup(EMPTY_RIG, people=2, tell=told.append))
+    first, aside = standing_pose(), rigid(standing_pose(), Rotation.identity())
+    aside = dataclasses.replace(aside, joints=aside.joints + np.array([0.5, 0.0, 0.0]))
+    sample = sample_of(first)
+    for people in ({1: first, 2: aside}, {2: aside}, {1: first}):
+        stream.send(dataclasses.replace(sample, people=people))
+    stream.close()
+    wait_until(lambda: len(osc.of("/VMC/Ext/T")) == 3)
+    assert told == [f"2 people go to the ports {osc.port - 1} to {osc.port}, one to each"]
+    assert osc.of("/VMC/Ext/OK") == [(1, 3, 0, 1), (1, 3, 0, 1), (1, 3, 0, 0)]
+    hips = [numbers for name, *numbers in osc.of("/VMC/Ext/Bone/Pos") if name == "Hips"]
+    assert len(hips) == 2
+    np.testing.assert_allclose(hips[0][:3], unity_from_z_up(aside.joints)[JOINT_INDEX["Hip"]], atol=0.012)
+    with pytest.raises(InputError, match="2 people take the ports from 65535 to 65536"):
+        open_stream("vmc://127.0.0.1:65535").start(StreamSetup(EMPTY_RIG, people=2))
 
 
 def test_the_rest_skeleton_is_learnt_and_then_stays(monkeypatch: pytest.MonkeyPatch) -> None:

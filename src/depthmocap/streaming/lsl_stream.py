@@ -20,7 +20,7 @@ import numpy as np
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.core.version import __version__
 from depthmocap.errors import InputError, missing_extra
-from depthmocap.streaming.stream_protocol import Marker, Sample, Stream, StreamSetup
+from depthmocap.streaming.stream_protocol import Marker, Places, Sample, Stream, StreamSetup
 
 #: Channels of a joint: their names in pose.csv, and type and unit as Lab Streaming Layer's users name them.
 _FIELDS = (
@@ -47,12 +47,11 @@ class LslStream(Stream):
         self._joints: Any = None
         self._markers: Any = None
         self._lsl_minus_monotonic_s = 0.0
-        #: Who has each place; 0 where nobody does.
-        self._places: list[int] = []
+        self._places = Places(0)
 
     def start(self, setup: StreamSetup) -> None:
         """See :class:`Stream`."""
-        self._places = [0] * setup.people
+        self._places = Places(setup.people)
         self._lsl_minus_monotonic_s = self._lsl.local_clock() - time.monotonic()
         channels = [
             channel
@@ -79,17 +78,14 @@ class LslStream(Stream):
 
     def send(self, sample: Sample) -> None:
         """See :class:`Stream`."""
-        self._places = [number if number in sample.people else 0 for number in self._places]
-        for number in sample.people:
-            if number not in self._places and 0 in self._places:
-                self._places[self._places.index(0)] = number
-        values = np.full((len(self._places), len(JOINTS), len(_FIELDS)), np.nan, np.float32)
-        for row, number in zip(values, self._places, strict=True):
+        places = self._places.take(sample.people)
+        values = np.full((len(places), len(JOINTS), len(_FIELDS)), np.nan, np.float32)
+        for row, number in zip(values, places, strict=True):
             if number:
                 row[:, :3], row[:, 3] = sample.people[number].joints, sample.people[number].confidence
-        rows = values.reshape(len(self._places), -1)
-        if len(self._places) > 1:
-            rows = np.hstack([np.array(self._places, np.float32)[:, None], rows])
+        rows = values.reshape(len(places), -1)
+        if len(places) > 1:
+            rows = np.hstack([np.array(places, np.float32)[:, None], rows])
         self._joints.push_sample(rows.ravel().tolist(), self._time_s(sample.monotonic_ns))
 
     def mark(self, marker: Marker) -> None:

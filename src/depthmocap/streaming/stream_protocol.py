@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from depthmocap.frames import FrameSet, Pose
 from depthmocap.geometry import Rig
@@ -57,6 +57,25 @@ class Marker:
     text: str
     unix_ns: int
     monotonic_ns: int
+
+
+class Places:
+    """Places for people in a stream that has so many: somebody keeps a place while in view.
+
+    Attributes:
+        numbers: who has each place; 0 where nobody does.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.numbers = [0] * count
+
+    def take(self, present: Collection[int]) -> list[int]:
+        """Give free places to those who are new in view; returns who has each."""
+        self.numbers = [number if number in present else 0 for number in self.numbers]
+        for number in present:
+            if number not in self.numbers and 0 in self.numbers:
+                self.numbers[self.numbers.index(0)] = number
+        return self.numbers
 
 
 class Stream(abc.ABC):

@@ -1,4 +1,5 @@
-"""``vmc://HOST:PORT``: the person who is followed as humanoid bones by the VMC protocol, over OSC (UDP).
+"""``vmc://HOST:PORT``: people as humanoid bones by the VMC protocol, over OSC (UDP). The protocol has one performer for
+each port: where several people are followed, the second is sent to PORT + 1, and so on.
 
     /VMC/Ext/Root/Pos   "root" and the identity
     /VMC/Ext/Bone/Pos   for each of ``BONES``: its name, local position (3), local rotation (quaternion x, y, z, w)
@@ -20,9 +21,10 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from depthmocap.body.skeleton import JOINT_INDEX
+from depthmocap.errors import InputError
 from depthmocap.streaming.osc_stream import OscSender
 from depthmocap.streaming.running_skeleton import PosedSkeleton, RunningSkeleton
-from depthmocap.streaming.stream_protocol import Sample, Stream, StreamSetup
+from depthmocap.streaming.stream_protocol import Places, Sample, Stream, StreamSetup
 
 #: Where along the way from the chest to the shoulder joint Unity's Shoulder, the collar bone, begins.
 _COLLAR = 0.25
@@ -65,37 +67,72 @@ def unity_bones(posed: PosedSkeleton) -> Float[ndarray, "20 7"]:
     return np.hstack([positions * _MIRROR, quaternions * _MIRROR_QUATERNION])
 
 
+class _Performer:
+    """Whoever has one place, and the receiver of that."""
+
+    def __init__(self, host: str, port: int, up: str) -> None:
+        self._up, self._person = up, 0
+        self._skeleton = RunningSkeleton(up)
+        self._sender = OscSender(host, port)
+        self._sender.connect()
+
+    def send(self, number: int, sample: Sample, seconds: float) -> None:
+        """Send the bones of a person, or for 0 that nobody is there."""
+        if number not in (0, self._person):
+            self._person, self._skeleton = number, RunningSkeleton(self._up)
+        messages: list[tuple[str, list[Any]]] = []
+        posed = self._skeleton(sample.people[number]) if number else None
+        if posed is not None:
+            messages.append(("/VMC/Ext/Root/Pos", ["root", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]))
+            bones = zip(BONES, unity_bones(posed).tolist(), strict=True)
+            messages += [("/VMC/Ext/Bone/Pos", [name, *numbers]) for name, numbers in bones]
+        # The last of a set, by which receivers know that it is whole.
+        messages.append(("/VMC/Ext/OK", [1, _CALIBRATED, _NORMAL_MODE, int(bool(messages))]))
+        messages.append(("/VMC/Ext/T", [seconds]))
+        self._sender.send(messages)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._sender.close()
+
+
 class VmcStream(Stream):
-    """Sends bones to an avatar."""
+    """Sends bones to avatars."""
 
     def __init__(self, host: str, port: int) -> None:
         """Raises InputError when python-osc is not installed, or the port cannot be one."""
-        self._sender = OscSender(host, port)
-        self._up, self._first_ns = "z", 0
-        self._person: tuple[int, RunningSkeleton] | None = None
+        OscSender(host, port)
+        self._host, self._port, self._first_ns = host, port, 0
+        self._places = Places(0)
+        self._performers: list[_Performer] = []
 
     def start(self, setup: StreamSetup) -> None:
-        """See :class:`Stream`."""
-        self._sender.connect()
-        self._up, self._first_ns, self._person = setup.rig.up, 0, None
+        """See :class:`Stream`.
+
+        Raises:
+            InputError: when there is no such host, or there are fewer ports than people.
+        """
+        last = self._port + setup.people - 1
+        if last > 65535:
+            raise InputError(f"{setup.people} people take the ports from {self._port} to {last}: choose a lower one")
+        self._first_ns, self._places, self._performers = 0, Places(setup.people), []
+        try:
+            for port in range(self._port, last + 1):
+                self._performers.append(_Performer(self._host, port, setup.rig.up))
+        except InputError:
+            self.close()
+            raise
+        if setup.people > 1:
+            setup.tell(f"{setup.people} people go to the ports {self._port} to {last}, one to each")
 
     def send(self, sample: Sample) -> None:
         """See :class:`Stream`."""
         self._first_ns = self._first_ns or sample.unix_ns
-        messages: list[tuple[str, list[Any]]] = []
-        for number, pose in list(sample.people.items())[:1]:
-            if self._person is None or self._person[0] != number:
-                self._person = number, RunningSkeleton(self._up)
-            posed = self._person[1](pose)
-            if posed is not None:
-                messages.append(("/VMC/Ext/Root/Pos", ["root", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]))
-                bones = zip(BONES, unity_bones(posed).tolist(), strict=True)
-                messages += [("/VMC/Ext/Bone/Pos", [name, *numbers]) for name, numbers in bones]
-        # The last of a set, by which receivers know that it is whole.
-        messages.append(("/VMC/Ext/OK", [1, _CALIBRATED, _NORMAL_MODE, int(bool(messages))]))
-        messages.append(("/VMC/Ext/T", [(sample.unix_ns - self._first_ns) * 1e-9]))
-        self._sender.send(messages)
+        seconds = (sample.unix_ns - self._first_ns) * 1e-9
+        for performer, number in zip(self._performers, self._places.take(sample.people), strict=True):
+            performer.send(number, sample, seconds)
 
     def close(self) -> None:
         """See :class:`Stream`."""
-        self._sender.close()
+        for performer in self._performers:
+            performer.close()
