@@ -11,8 +11,10 @@ import pytest
 from rig_states import rig_state
 from viewer_client import ViewerClient
 
+from depthmocap.cameras.source import ConnectedCamera
 from depthmocap.frames import FrameSet
 from depthmocap.recordings.open_recording import open_recording
+from depthmocap.rigging import setup_page
 from depthmocap.rigging.setup_page import SetupPage
 from depthmocap.viewing.viewer_page import Page
 
@@ -50,12 +52,34 @@ def test_what_is_known_is_shown_and_the_rig_can_be_taken(page: Page, frames: Fra
 def test_devices_get_other_names_and_modes(page: Page) -> None:
     shown = SetupPage(page, ("azure:1", "left=realsense:2?fps=15", "walk.mcap"))
     with ViewerClient(page) as client:
-        (_, _, first, _), (_, _, second, mode) = shown.fields
-        assert (first.value, second.value, mode.value) == ("azure-1", "left", "fps=15")
-        client.set(second, "right")
-        client.set(mode, "")
-        assert until(lambda: mode.value == "")
+        first, second, _ = shown.rows
+        assert (first.name.value, second.name.value, second.mode.value) == ("azure-1", "left", "fps=15")
+        client.set(second.name, "right")
+        client.set(second.mode, "")
+        assert until(lambda: second.mode.value == "")
         client.set(shown.apply, True)
         assert until(lambda: shown.wanted is not None)
-    assert shown.wanted == ("azure-1=azure:1", "right=realsense:2", "walk.mcap")
+    assert shown.wanted == ("azure-1=azure:1", "right=realsense:2", "walk.mcap") and shown.others == ()
+    shown.clear()
+
+
+def test_cameras_are_left_out_found_and_added(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = [ConnectedCamera(spec, "", "") for spec in ("azure:1", "azure:3")]
+    monkeypatch.setattr(setup_page, "find_cameras", lambda: (found, {"openni": "pip install it"}))
+    shown = SetupPage(page, ("azure:1", "walk.mcap"), ("realsense:2",))
+    with ViewerClient(page) as client:
+        client.set(shown.look, True)
+        assert until(lambda: len(shown.rows) == 4)
+        used = {row.spec: row.used for row in shown.rows}
+        assert {spec: box.value for spec, box in used.items()} == {
+            "azure:1": True, "walk.mcap": True, "realsense:2": False, "azure:3": False,
+        }  # fmt: skip
+        client.set(used["azure:1"], False)
+        client.set(used["azure:3"], True)
+        client.set(shown.added, " kinect2:4 ")
+        assert until(lambda: shown.added.value == " kinect2:4 ")
+        client.set(shown.apply, True)
+        assert until(lambda: shown.wanted is not None)
+    assert shown.wanted == ("walk.mcap", "azure-3=azure:3", "kinect2:4")
+    assert shown.others == ("azure-1=azure:1", "realsense-2=realsense:2")
     shown.clear()

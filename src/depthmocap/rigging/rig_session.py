@@ -19,7 +19,7 @@ from depthmocap.classify.classifier import Classifier
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera
 from depthmocap.realtime.status import CameraStatus
-from depthmocap.realtime.sync import SyncedSet
+from depthmocap.realtime.sync import SyncedSet, SyncSettings
 from depthmocap.realtime.synced_reader import SyncedReader
 from depthmocap.rigging.floor_map import FloorMap, advice, draw_map
 from depthmocap.rigging.rig_faults import camera_faults, same_pictures, same_views
@@ -27,6 +27,9 @@ from depthmocap.rigging.walk_observer import Sight, WalkObserver
 
 #: Most sets a second that are looked at, as by ``calibrate``.
 RATE_HZ = 10.0
+#: How long a set waits for a camera (milliseconds): nothing is shown with it, and a set without a camera is lost for
+#: all its pairs, as on a machine that is busy with placing.
+WAIT_MS = 300.0
 #: Seconds from the end of one placing to the beginning of the next, and the share of new sets that it waits for.
 PAUSE_S, GROWTH = 2.0, 1.15
 #: So many placings in a row must be good.
@@ -83,7 +86,7 @@ class RigSession:
 
     def __init__(self, sources: Sequence[DepthSource], classifier: Classifier, seed: int = 0) -> None:
         self._sources, self._classifier, self._seed = list(sources), classifier, seed
-        self.reader = SyncedReader(sources)
+        self.reader = SyncedReader(sources, sync=SyncSettings(wait_ms=WAIT_MS))
         self._walk: WalkObserver | None = None
         self._lock = threading.Lock()
         self._calibration: Calibration | None = None

@@ -84,12 +84,7 @@ def setup(settings: SetupSettings, console: Console | None = None) -> Rig:
     """
     console = console or Terminal(stderr=True)
     specs = _cameras(settings, console)
-    sources = make_sources(specs, PlaybackClock(1.0), lambda line: console.print(f"• {line}"))
-    if len(sources) < 2:
-        raise InputError(
-            f"a rig has two cameras or more, and this is one ({sources[0].name}): depthmocap live takes one without a "
-            "rig"
-        )
+    sources = _make_sources(specs, console)
     with contextlib.ExitStack() as stack:
         page = _open_page(settings, console, stack) if settings.view else None
         classifier = _ready_classifier(settings, console)
@@ -126,6 +121,19 @@ def _cameras(settings: SetupSettings, console: Console) -> tuple[str, ...]:
     if usable := tuple(camera.spec for camera in connected if not camera.problem):
         return usable
     raise InputError(f"no depth camera was found: {joined(faults, 2) or 'is one plugged in?'}")
+
+
+def _make_sources(specs: tuple[str, ...], console: Console) -> list[DepthSource]:
+    """The cameras, unopened.
+
+    Raises:
+        InputError: when a text names none, or there are fewer than two.
+    """
+    sources = make_sources(specs, PlaybackClock(1.0), lambda line: console.print(f"• {line}"))
+    if len(sources) < 2:
+        one = f"this is one ({sources[0].name})" if sources else "this is none"
+        raise InputError(f"a rig has two cameras or more, and {one}: depthmocap live takes one without a rig")
+    return sources
 
 
 def _ready_classifier(settings: SetupSettings, console: Console) -> Classifier:
@@ -172,8 +180,9 @@ def _walk(
     console: Console,
 ) -> tuple[Calibration, tuple[str, ...], int, bool]:
     """The calibration, the cameras as they were opened last and their number, and whether Ctrl-C ended the walk."""
+    others: tuple[str, ...] = ()
     while True:
-        shown = _make_page(page, specs)
+        shown = _make_page(page, specs, others)
         with RigSession(sources, classifier) as session:
             walk = _Walk(settings, session, shown, console)
             try:
@@ -187,6 +196,7 @@ def _walk(
             state = session.state()
         if shown is not None:
             shown.clear()
+            others = shown.others
         if wanted is None:
             break
         specs, sources = wanted
@@ -195,12 +205,12 @@ def _walk(
     return state.calibration, specs, len(state.cameras), walk.interrupted
 
 
-def _make_page(page: Page | None, specs: tuple[str, ...]) -> SetupPage | None:
+def _make_page(page: Page | None, specs: tuple[str, ...], others: tuple[str, ...]) -> SetupPage | None:
     if page is None:
         return None
     from depthmocap.rigging.setup_page import SetupPage
 
-    return SetupPage(page, specs)
+    return SetupPage(page, specs, others)
 
 
 class _Walk:
@@ -241,7 +251,7 @@ class _Walk:
             return None
         shown.wanted = None
         with shown.page.errors_shown():
-            return wanted, make_sources(wanted, PlaybackClock(1.0))
+            return wanted, _make_sources(wanted, self._console)
         return None
 
     def _tell(self, state: RigState) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 import time
 from collections.abc import Sequence
@@ -10,11 +11,12 @@ from typing import Any
 import numpy as np
 import viser
 
-from depthmocap.cameras.registry import DeviceText, device_text
+from depthmocap.cameras.registry import DeviceText, device_text, find_cameras
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera
 from depthmocap.report.drawing import depth_picture
 from depthmocap.rigging.floor_picture import floor_picture
+from depthmocap.rigging.rig_faults import connection_faults
 from depthmocap.rigging.rig_session import RigState
 from depthmocap.viewing.display_colours import palette_colour
 from depthmocap.viewing.live_page import words
@@ -28,19 +30,37 @@ _CLOUD_S = 0.5
 _GRADES = {"good": "#6bd48a", "fair": "#ffd166", "poor": "#ff6b6b"}
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class CameraRow:
+    """Inputs of one camera: whether it is used, and of a device its name and mode."""
+
+    spec: str
+    device: DeviceText | None
+    used: Any
+    name: Any = None
+    mode: Any = None
+
+    def text(self) -> str:
+        """The camera as the inputs have it."""
+        if self.device is None:
+            return self.spec
+        return self.device.renamed(str(self.name.value).strip(), str(self.mode.value).strip())
+
+
 class SetupPage:
     """The page, drawn by the thread that calls :meth:`show`.
 
     Attributes:
         taken: set when the user takes the rig as it is.
-        wanted: cameras with other names and modes, as the user asked; None if they did not.
+        wanted: other cameras, or the same with other names and modes, as the user asked; None if they did not.
+        others: cameras that are known and left out.
     """
 
-    def __init__(self, page: Page, specs: Sequence[str]) -> None:
+    def __init__(self, page: Page, specs: Sequence[str], others: Sequence[str] = ()) -> None:
         """``specs``: the cameras as the user named them."""
         self.page, self.taken = page, threading.Event()
         self.wanted: tuple[str, ...] | None = None
-        self._specs = tuple(specs)
+        self.others = tuple(others)
         self._scene: SceneDrawing | None = None
         self._placings, self._cloud_s = 0, 0.0
         gui = page.server.gui
@@ -54,29 +74,46 @@ class SetupPage:
                 self.take = gui.add_button("Take the rig as it is", icon=viser.Icon.CHECK, disabled=True)
             every(self.take, self.taken.set)
             self._pictures: dict[str, Any] = {}
-            self.fields: list[tuple[str, DeviceText, Any, Any]] = []
+            self.rows: list[CameraRow] = []
             self._cameras_tab = self.tabs.add_tab("Cameras", viser.Icon.CAMERA)
             with self._cameras_tab:
-                self._add_devices(gui)
-
-    def _add_devices(self, gui: viser.GuiApi) -> None:
-        devices = [(spec, device) for spec in self._specs if (device := device_text(spec)) is not None]
-        if not devices:
-            return
-        with gui.add_folder("Names and modes", expand_by_default=False):
-            for spec, device in devices:
-                name = gui.add_text(plain(device.device), device.name)
-                mode = gui.add_text("mode", device.mode, hint="such as mode=nfov&fps=15 or size=848x480")
-                self.fields.append((spec, device, name, mode))
-            self.apply = gui.add_button("Open them so")
+                self._folder = gui.add_folder("Which cameras", expand_by_default=False)
+                with self._folder:
+                    self.added = gui.add_text("Add", "", hint="such as realsense:SERIAL or left=azure:SERIAL?mode=nfov")
+                    self.look = gui.add_button("Look for more")
+                    self.apply = gui.add_button("Open them so")
+                    for spec in (*specs, *others):
+                        self._add_row(gui, spec, spec in specs)
+        every(self.look, self._look)
         every(self.apply, self._apply)
 
+    def _add_row(self, gui: viser.GuiApi, spec: str, used: bool) -> None:
+        device = device_text(spec)
+        shown = gui.add_checkbox(plain(spec if device is None else device.device), used)
+        if device is None:
+            self.rows.append(CameraRow(spec, None, shown))
+            return
+        name = gui.add_text("name", device.name)
+        mode = gui.add_text("mode", device.mode, hint="such as mode=nfov&fps=15 or size=848x480")
+        self.rows.append(CameraRow(spec, device, shown, name, mode))
+
+    def _look(self) -> None:
+        """Add what is connected besides, to be ticked."""
+        self.page.tell("looking for cameras")
+        connected, failures = find_cameras()
+        known = {row.device.device for row in self.rows if row.device is not None}
+        new = [camera.spec for camera in connected if not camera.problem and camera.spec not in known]
+        with self._folder:
+            for spec in new:
+                self._add_row(self.page.server.gui, spec, False)
+        for fault in connection_faults(connected, failures):
+            self.page.tell(fault, wrong=True)
+        self.page.tell(f"found besides: {', '.join(new) or 'none'}")
+
     def _apply(self) -> None:
-        changed = {
-            spec: device.renamed(str(name.value).strip(), str(mode.value).strip())
-            for spec, device, name, mode in self.fields
-        }
-        self.wanted = tuple(changed.get(spec, spec) for spec in self._specs)
+        added = str(self.added.value).strip()
+        self.others = tuple(row.text() for row in self.rows if not row.used.value)
+        self.wanted = (*(row.text() for row in self.rows if row.used.value), *([added] if added else ()))
 
     def show(self, state: RigState) -> None:
         """Draw the state, for the browsers that look on."""
