@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from depthmocap.recordings.open_recording import open_recording
     from depthmocap.recordings.recording import Recording
     from depthmocap.recordings.recording_writer import RecordingWriter
+    from depthmocap.rigging.setup_command import SetupSettings, setup
     from depthmocap.smooth.pose_filter import PoseFilter
     from depthmocap.streaming.stream_protocol import Marker, Sample, Stream, StreamSetup
 
@@ -68,6 +69,7 @@ _LAZY = {
     "depthmocap.recordings.recording": ("Recording",),
     "depthmocap.recordings.recording_writer": ("RecordingWriter",),
     "depthmocap.recordings.open_recording": ("open_recording",),
+    "depthmocap.rigging.setup_command": ("SetupSettings", "setup"),
     "depthmocap.smooth.pose_filter": ("PoseFilter",),
     "depthmocap.streaming.stream_protocol": ("Marker", "Sample", "Stream", "StreamSetup"),
 }
@@ -104,6 +106,7 @@ __all__ = [
     "RunResult",
     "RunSettings",
     "Sample",
+    "SetupSettings",
     "Stream",
     "StreamSetup",
     "View",
@@ -120,6 +123,7 @@ __all__ = [
     "read_csv",
     "run",
     "save_rig",
+    "setup",
     "write_bvh",
     "write_csv",
     "write_trc",

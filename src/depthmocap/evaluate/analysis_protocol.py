@@ -22,6 +22,7 @@ from depthmocap.analysis.strides import Stride, strides
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
+from depthmocap.core.network_devices import NetworkSettings, networks_on
 from depthmocap.core.output import check_outputs
 from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
@@ -37,14 +38,14 @@ from depthmocap.synth.sample import Split
 from depthmocap.synth.sensing.sensors import find_sensor
 
 #: Settings that the estimates do not depend on.
-_FREE_SETTINGS = ("out", "json", "least_confidence", "cutoff_hz", "fill_s")
+_FREE_SETTINGS = ("out", "device", "json", "least_confidence", "cutoff_hz", "fill_s")
 #: A true event without one found so near is missed (s).
 _NEAR_S = 0.25
 _EVENTS = ("heel_strike", "toe_off")
 
 
 @dataclasses.dataclass(frozen=True)
-class AnalysisEvaluation(JsonOutput):
+class AnalysisEvaluation(NetworkSettings, JsonOutput):
     """The numbers of ``analyse`` against the truth: generated people walk straight on, walk in turns, sit down and
     stand up, cameras with errors look, the network labels, joints are estimated and filtered as ``run`` does it.
 
@@ -117,7 +118,8 @@ def _estimates(settings: AnalysisEvaluation, scenes: Sequence[Scene], console: C
     fixed = {key: value for key, value in plain_settings(settings).items() if key not in _FREE_SETTINGS}
     store = EstimateStore(settings.out, fixed)
     sensors = tuple(find_sensor(name) for name in settings.sensors)
-    classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)
+    with networks_on(settings.device):
+        classifier, estimator = Classifier(settings.weights), load_estimator(settings.estimator)
     sequences = []
     with Progress(console=console) as progress:
         for index, scene in enumerate(progress.track(scenes, description="estimating")):

@@ -23,6 +23,7 @@ from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
+from depthmocap.core.network_devices import NetworkSettings, networks_on
 from depthmocap.core.output import check_outputs, write_json
 from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
@@ -57,7 +58,7 @@ Masks = tuple[Bool[ndarray, "_ _"], ...]
 
 
 @dataclasses.dataclass(frozen=True)
-class PeopleEvaluation:
+class PeopleEvaluation(NetworkSettings):
     """People in generated scenes.
 
     Attributes:
@@ -129,7 +130,11 @@ class _TrueMasks:
 @locks_outputs(files=("json",))
 def evaluate_people(settings: PeopleEvaluation, console: Console | None = None) -> dict[str, Any]:
     """Make the scenes, track the people in them and print a table; returns the numbers."""
-    console = console or Terminal(stderr=True)
+    with networks_on(settings.device):
+        return _evaluate(settings, console or Terminal(stderr=True))
+
+
+def _evaluate(settings: PeopleEvaluation, console: Console) -> dict[str, Any]:
     rng = np.random.default_rng(settings.seed)
     detector = PeopleDetector(settings.weights)
     numbers: dict[str, Any] = {"settings": plain_settings(settings)}

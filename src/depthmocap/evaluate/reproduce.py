@@ -14,6 +14,7 @@ from rich.console import Console
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
+from depthmocap.core.network_devices import NetworkSettings, networks_on
 from depthmocap.core.output import write_json
 from depthmocap.core.settings import plain_settings
 from depthmocap.errors import InputError
@@ -26,7 +27,7 @@ Part = Callable[[Console], tuple[list[ReportSection], dict[str, Any]]]
 
 
 @dataclasses.dataclass(frozen=True)
-class Reproduction:
+class Reproduction(NetworkSettings):
     """The paper's tables and figures from its data sets, as one page.
 
     Attributes:
@@ -65,7 +66,11 @@ def reproduce(settings: Reproduction, console: Console | None = None) -> dict[st
     Raises:
         InputError: without a data set, or when none of them can be read, or the weights cannot.
     """
-    console = console or Terminal(stderr=True)
+    with networks_on(settings.device):
+        return _reproduce(settings, console or Terminal(stderr=True))
+
+
+def _reproduce(settings: Reproduction, console: Console) -> dict[str, Any]:
     parts = _parts(settings)
     if all(part is None for part in parts.values()):
         raise InputError("give at least one data set: --ubc3v, --mhad or --eval with its folder")

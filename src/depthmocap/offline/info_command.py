@@ -11,13 +11,14 @@ from rich.console import Console
 from rich.table import Table
 
 from depthmocap.core.console import Terminal
+from depthmocap.core.network_devices import NetworkSettings, networks_on
 from depthmocap.recordings.convert import recording_info
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.text import offset_lines
 
 
 @dataclasses.dataclass(frozen=True)
-class InfoSettings:
+class InfoSettings(NetworkSettings):
     """What is in a recording.
 
     Attributes:
@@ -61,7 +62,10 @@ def info(settings: InfoSettings, console: Console | None = None) -> dict[str, An
     if settings.check:
         from depthmocap.calibration.recording_check import MOST_SETS, check_recording  # which takes a while to load
 
-        found = check_recording(recording, console)
+        with networks_on(settings.device) as devices:
+            found = check_recording(recording, console)
+        for line in devices.lines():
+            console.print(f"• {line}")
         summary["check"] = dataclasses.asdict(found)
         seen = ", ".join(f"{name!r} in {seen} of {frames}" for name, (seen, frames) in found.frames.items())
         console.print(f"checked in up to {MOST_SETS} frames of each camera; people are found by {seen}")

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
-import matplotlib
 import numpy as np
 from jaxtyping import Bool, Float, Integer, UInt8
 from numpy import ndarray
@@ -51,6 +50,8 @@ def _lighten(colours: UInt8[ndarray, "*n 3"]) -> UInt8[ndarray, "*n 3"]:
 
 @functools.cache
 def _font(size: int) -> ImageFont.FreeTypeFont:
+    import matplotlib  # here, because live capture shows pictures without text and shall start soon
+
     # matplotlib's font: the same everywhere, with more letters than ASCII.
     return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size)
 
