@@ -24,7 +24,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import tyro
@@ -139,7 +139,7 @@ def run(settings: LiveFigures, shared: Path, folder: Path, console: Console) -> 
     """Run and give the numbers."""
     phases = (0.0, 0.25, 0.5, 0.75) if settings.free_running else (0.0,) * 4
     host = CameraHost(shared, settings.people, scene_seconds=settings.scene_seconds, phases=phases)
-    kinds = (*settings.streams, *(("page",) if settings.view else ()))
+    kinds: tuple[Scheme | Literal["page"], ...] = (*settings.streams, "page") if settings.view else settings.streams
     with contextlib.ExitStack() as stack:
         with _on_cores(settings.other_cores):
             with console.status("making what the cameras see"):

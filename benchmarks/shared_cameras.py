@@ -19,6 +19,7 @@ import sys
 import threading
 import time
 from multiprocessing.connection import Client, Connection, Listener
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -57,7 +58,7 @@ class CameraHost:
     jitter_ms: float = 1.0
     phases: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
-    def start(self) -> tuple[multiprocessing.process.BaseProcess, Connection]:
+    def start(self) -> tuple[BaseProcess, Connection]:
         """Start the process; it sends its exposure 0 (ns of ``time.monotonic_ns``) when it is ready, and its
         :class:`Sent` when it is told to end by any message."""
         context = multiprocessing.get_context("spawn")
@@ -90,9 +91,10 @@ def _serve(host: CameraHost, pipe: Connection) -> None:
         due_s = exposed_s + 1e-3 * (host.delay_ms + rng.uniform(0, 2, len(rings)) * host.jitter_ms)
         for i in np.argsort(due_s).tolist():
             offset_s, drift_ppm = _CLOCKS[i]
-            stamp_ns = round((offset_s + exposed_s[i] * (1 + 1e-6 * drift_ppm)) * 1e9)
-            time.sleep(max(due_s[i] - (time.monotonic_ns() - zero_ns) * 1e-9, 0))
-            rings[i].put(number, stamp_ns, scene.depth(rings[i].name, exposed_s[i]))
+            at_s = float(exposed_s[i])
+            stamp_ns = round((offset_s + at_s * (1 + 1e-6 * drift_ppm)) * 1e9)
+            time.sleep(max(float(due_s[i]) - (time.monotonic_ns() - zero_ns) * 1e-9, 0))
+            rings[i].put(number, stamp_ns, scene.depth(rings[i].name, at_s))
         number += 1
     pipe.send(Sent({ring.name: ring.sent for ring in rings}))
 
@@ -147,11 +149,11 @@ class SharedCamera(DepthSource):
 
     def _open(self) -> DepthCamera:
         camera = load_rig(self._place.parent / "rig.json")[self._place.name]
-        self._numbers, self._depth = _ring_file(self._place, camera, "r")
         try:
             self._connection = Client(str(self._place.with_suffix(".socket")), "AF_UNIX")
         except OSError as error:
             raise CameraError(f"camera {self.name!r} is not connected: {error}") from None
+        self._numbers, self._depth = _ring_file(self._place, camera, "r")
         return dataclasses.replace(camera, name=self.name)
 
     def _read(self, timeout_s: float) -> DepthFrame | None:
@@ -193,13 +195,13 @@ def main(counts: Path, words: list[str]) -> None:
     offered, written = collections.Counter[str](), dict[str, int]()
     write, close = McapRecorder.write, McapWriter.close
 
-    def counted_write(recorder: McapRecorder, frame: DepthFrame) -> None:
+    def counted_write(self: McapRecorder, frame: DepthFrame) -> None:
         offered[frame.camera] += 1
-        write(recorder, frame)
+        write(self, frame)
 
-    def counted_close(writer: McapWriter) -> None:
-        close(writer)
-        written.update(writer.frames)  # a file is closed more than once
+    def counted_close(self: McapWriter) -> None:
+        close(self)
+        written.update(self.frames)  # a file is closed more than once
 
     McapRecorder.write, McapWriter.close = counted_write, counted_close
     try:

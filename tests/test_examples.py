@@ -3,6 +3,7 @@
 import re
 import runpy
 import shutil
+import socket
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -56,6 +57,15 @@ def test_live(run: Run, tmp_path: Path) -> None:
     lines = run("02_live.py", beginning(tmp_path, 3))
     assert all(line.endswith(("the right hand is higher", "the left hand is higher")) for line in lines)
     assert lines
+
+
+def test_viewer(run: Run, tmp_path: Path) -> None:
+    pytest.importorskip("viser")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    first, last = run("11_viewer.py", beginning(tmp_path, 2), port)
+    assert first == f"open http://localhost:{port}" and last.startswith("somebody was in view in")
 
 
 def test_own_camera(run: Run, tmp_path: Path) -> None:

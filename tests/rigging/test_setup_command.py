@@ -25,7 +25,7 @@ from depthmocap.geometry import Rig, load_rig, rigid_inverse
 from depthmocap.realtime.synced_reader import SyncedReader
 from depthmocap.recordings.open_recording import open_recording, packaged_recording
 from depthmocap.rigging import setup_command
-from depthmocap.rigging.rig_session import RigSession, RigState
+from depthmocap.rigging.rig_session import RigSession, RigState, seen_enough
 from depthmocap.rigging.setup_command import SetupSettings
 
 
@@ -137,6 +137,12 @@ def test_the_walk_ends_when_the_rig_is_good_or_the_time_is_over_or_somebody_take
     assert end is None and "• camera 'cam1': it is covered" in told and "• walk on" in told
     assert until_end(fair, Shown(taken=True))[0] is None
     assert until_end(dataclasses.replace(fair, ended=True))[0] is None
+
+
+def test_good_pairs_of_few_poses_are_not_enough(frames: FrameSet) -> None:
+    known = calibration(Rig(tuple(view.camera for view in frames.views)), 5.0, 8.0)
+    few = [dataclasses.replace(pair, shared_poses=30) for pair in known.pairs]
+    assert seen_enough(known) and not seen_enough(dataclasses.replace(known, pairs=[known.pairs[0], few[1]]))
 
 
 def test_other_names_and_modes_open_the_cameras_anew_and_wrong_ones_are_told(frames: FrameSet) -> None:

@@ -74,6 +74,18 @@ def test_what_comes_is_drawn_while_somebody_looks(live: LivePage, frames: FrameS
     assert "has ended" in live.status.content
 
 
+def test_the_area_is_drawn_on_the_floor(live: LivePage) -> None:
+    corners = ((0.0, 0.0), (2.0, 0.0), (2.0, 3.0))
+    live.start(StreamSetup(Rig((), "y", corners)))
+    assert live._drawing is not None
+    border = live._drawing._area
+    assert border.visible and np.allclose(border.points[:, 0, 1], 0.01)  # y is up
+    assert np.allclose(border.points[:, 0, [0, 2]], corners) and np.allclose(border.points[2, 1, [0, 2]], corners[0])
+    live.area_m = ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0))  # --area goes before it
+    live.start(StreamSetup(Rig((), "y", corners)))
+    assert np.allclose(live._drawing._area.points[1, 0], [1.0, 0.01, 0.0])
+
+
 def test_a_page_of_ones_own_has_no_controls(live: LivePage, frames: FrameSet) -> None:
     live.controls = None
     sample = begin(live, frames)

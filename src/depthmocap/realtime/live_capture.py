@@ -20,7 +20,7 @@ from depthmocap.calibration.rig_watch import RigWatch
 from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.cameras.registry import make_sources
 from depthmocap.cameras.source import DepthSource
-from depthmocap.errors import InputError
+from depthmocap.errors import InputError, missing_extra
 from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.geometry import DepthCamera, Rig, check_extrinsics, load_rig
 from depthmocap.offline.pipeline import Pipeline, Result, warm_up
@@ -354,6 +354,7 @@ def _count_pose(statistics: RunStatistics, live: LivePose) -> LivePose:
 def live(
     *sources: str | Path | DepthSource,
     rig: Rig | Path | None = None,
+    viewer: int | None = None,
     streams: Iterable[Stream | str] = (),
     settings: PipelineSettings | None = None,
     **changes: Any,
@@ -365,12 +366,14 @@ def live(
     Args:
         sources: cameras as ``depthmocap record`` names them, recordings, or your own sources.
         rig: the poses of the cameras, or the path of a rig.json; recordings have their own.
+        viewer: port of a page on this machine that shows it in the browser, http://localhost:PORT.
         streams: get every result, too: addresses as ``--stream`` takes them, or streams of your own.
         settings: of the pipeline, by default the usual ones.
         changes: single settings that differ, as in ``live("recording", people=2)``.
 
     Raises:
-        InputError: when a source or an address of a stream is not what it says, or no camera can be opened.
+        InputError: when a source or an address of a stream is not what it says, no camera can be opened, or the port is
+            taken.
     """
     playback_clock = PlaybackClock(1.0)
     opened_sources: list[DepthSource] = []
@@ -378,6 +381,18 @@ def live(
         opened_sources += [source] if isinstance(source, DepthSource) else make_sources([str(source)], playback_clock)
     rig = load_rig(rig) if isinstance(rig, Path) else rig
     make_pipeline = functools.partial(load_pipeline, settings=settings or PipelineSettings(), **changes)
-    with LiveCapture(opened_sources, rig, make_pipeline=make_pipeline, streams=streams) as capture:
-        for live_pose in capture:
+    with contextlib.ExitStack() as stack:
+        pages = [] if viewer is None else [_page(viewer, stack)]
+        capture = LiveCapture(opened_sources, rig, make_pipeline=make_pipeline, streams=[*pages, *streams])
+        for live_pose in stack.enter_context(capture):
             yield live_pose.result
+
+
+def _page(port: int, stack: contextlib.ExitStack) -> Stream:
+    """A page that shows a capture, served until the stack ends."""
+    try:
+        from depthmocap.viewing.live_page import LivePage
+        from depthmocap.viewing.viewer_page import Page
+    except ModuleNotFoundError:
+        raise missing_extra("viser", "view") from None
+    return LivePage(stack.enter_context(Page("127.0.0.1", port, "depthmocap")))

@@ -189,7 +189,9 @@ def _open_page(settings: LiveSettings, stack: contextlib.ExitStack, served: Page
         from depthmocap.viewing.viewer_page import Page
     except ModuleNotFoundError:
         raise missing_extra("viser", "view") from None
-    return LivePage(served or stack.enter_context(Page(settings.host, settings.port, "depthmocap live")))
+    page = LivePage(served or stack.enter_context(Page(settings.host, settings.port, "depthmocap live")))
+    page.area_m = tuple(zip(settings.area[::2], settings.area[1::2], strict=True))
+    return page
 
 
 def _make_capture(settings: LiveSettings, console: Console, viewers: Sequence[Stream]) -> LiveCapture | Replay:

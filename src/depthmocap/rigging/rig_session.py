@@ -6,6 +6,7 @@ cameras. A set that comes while the last is looked at is left out, so that nothi
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 import threading
 import time
@@ -14,6 +15,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from depthmocap.calibration.calibrate import Calibration, solve_rig
+from depthmocap.calibration.verdict import FEW_POSES
 from depthmocap.cameras.source import DepthSource
 from depthmocap.classify.classifier import Classifier
 from depthmocap.errors import InputError
@@ -79,6 +81,15 @@ class RigState:
             )
             for pair in self.calibration.pairs
         ]
+
+
+def seen_enough(calibration: Calibration) -> bool:
+    """Whether every camera shares so many poses with another that ``calibrate`` would not ask for more."""
+    most = collections.Counter[str]()
+    for pair in calibration.pairs:
+        for name in pair.cameras:
+            most[name] = max(most[name], pair.shared_poses)
+    return min(most.values(), default=0) >= FEW_POSES
 
 
 class RigSession:
@@ -209,7 +220,7 @@ class RigSession:
             return
         drawn = draw_map(calibration, observations)
         good = calibration.grade == "good" and not calibration.unplaced
-        good = good and len(calibration.rig.cameras) == len(self.reader.cameras)
+        good = good and len(calibration.rig.cameras) == len(self.reader.cameras) and seen_enough(calibration)
         with self._lock:
             self._calibration, self._drawn = calibration, drawn
             self._problems = tuple([*same_views(calibration.rig), *calibration.warnings])

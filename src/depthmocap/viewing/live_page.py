@@ -15,6 +15,7 @@ from jaxtyping import UInt8
 from numpy import ndarray
 
 from depthmocap.errors import InputError
+from depthmocap.geometry.floor_area import FloorArea
 from depthmocap.report.drawing import colour_labels, depth_picture
 from depthmocap.streaming.stream_protocol import Sample, Stream, StreamSetup
 from depthmocap.text import joined
@@ -79,6 +80,7 @@ class LivePage(Stream):
 
     Attributes:
         controls: of the capture; the page begins with them.
+        area_m: in which people are followed; by default that of the rig.
     """
 
     name = "viewer"
@@ -86,6 +88,7 @@ class LivePage(Stream):
     def __init__(self, page: Page) -> None:
         self.page = page
         self.controls: CaptureControls | None = None
+        self.area_m: FloorArea = ()
         self._drawing: SceneDrawing | None = None
         self._stamp_ns: int | None = None
         self._stop_asked_s = -_ASKED_S
@@ -97,6 +100,7 @@ class LivePage(Stream):
         server, cameras = self.page.server, setup.rig.cameras
         with server.atomic():
             self._drawing = SceneDrawing(server, cameras, setup.rig.up)
+            self._drawing.show_area(self.area_m or setup.rig.area_m)
             up = self._drawing.up_world
             self._people = [SkeletonDrawing(server.scene, f"/people/{i}", up) for i in range(MOST_PEOPLE)]
             self._drawing.look_from(server, self._drawing.floor.position + up, cameras)

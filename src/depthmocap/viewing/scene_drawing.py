@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from depthmocap.body.skeleton import BONES, JOINT_INDEX, JOINTS
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera, transform_points, z_up_from
+from depthmocap.geometry.floor_area import FloorArea
 from depthmocap.geometry.transforms import unit
 from depthmocap.report.drawing import colour_labels
 from depthmocap.viewing.display_colours import distance_colours, line_colours, palette_colour
@@ -37,6 +38,9 @@ _TRAILING = [JOINT_INDEX[joint] for joint in TRAILING]
 _BACKGROUND = (23.0, 23.0, 28.0)
 _GREY = np.full(3, 130.0)
 _PLANES: dict[str, Literal["xy", "xz"]] = {"z": "xy", "y": "xz", "-y": "xz"}
+
+#: The border of an area is drawn so far above the floor (metres).
+_ABOVE_FLOOR_M = 0.01
 
 
 def camera_points(view: View, stride: int) -> tuple[Float32[ndarray, "n 3"], Float32[ndarray, " n"], ndarray]:
@@ -75,7 +79,20 @@ class SceneDrawing:
             "/cloud", np.zeros((1, 3)), np.zeros((1, 3), np.uint8), point_size=0.009, point_shading="flat",
             position=self._origin, visible=False,
         )  # fmt: skip
+        self._area = self._scene.add_line_segments(
+            "/area", np.zeros((1, 2, 3)), (120, 200, 255), thickness=0.02, visible=False
+        )
         self.cameras = CamerasDrawing(self._scene, cameras)
+
+    def show_area(self, corners_m: FloorArea) -> None:
+        """The area of the floor in which people are followed; nothing where that is everywhere."""
+        self._area.visible = bool(corners_m)
+        if not corners_m:
+            return
+        flat = np.zeros((len(corners_m), 3))
+        flat[:, [0, 1] if self._up == "z" else [0, 2]] = corners_m
+        flat += _ABOVE_FLOOR_M * self.up_world
+        self._area.points = np.stack([flat, np.roll(flat, -1, 0)], 1).astype(np.float32)
 
     def look_from(self, server: viser.ViserServer, target: Float[ndarray, "3"], cameras: Sequence[DepthCamera]) -> None:
         """Where browsers look from at first: at the target, from a little above and before the first camera, where

@@ -46,6 +46,7 @@ class TakePage:
         self._drawing = threading.Lock()
         gui, cameras = page.server.gui, take.rig.cameras if take.rig is not None else ()
         self.drawing = SceneDrawing(page.server, cameras, take.up)
+        self.drawing.show_area(take.rig.area_m if take.rig is not None else ())
         up, scene = self.drawing.up_world, page.server.scene
         self._people = [SkeletonDrawing(scene, f"/people/{i}", up) for i in range(MOST_PEOPLE)]
         self._beside = [
