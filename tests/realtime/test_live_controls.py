@@ -19,9 +19,11 @@ from depthmocap.cli import main
 from depthmocap.errors import InputError
 from depthmocap.exporting.stored_result import read_result
 from depthmocap.frames import Pose
+from depthmocap.geometry import load_rig, rigid_inverse, save_rig, transform_points
 from depthmocap.offline.pipeline_settings import PipelineSettings
 from depthmocap.realtime import live_capture as live_module
 from depthmocap.realtime import live_command as command
+from depthmocap.realtime.ingest import frame_set
 from depthmocap.realtime.live_capture import LiveCapture
 from depthmocap.realtime.live_command import LiveSettings, run_live
 from depthmocap.realtime.live_controls import LiveControls
@@ -112,6 +114,40 @@ def test_filters_and_people_change_between_sets(capture: LiveCapture, tmp_path: 
     for wrong in (lambda: controls.smooth("magic"), lambda: controls.follow(0)):
         with pytest.raises(InputError):
             wrong()
+
+
+def test_a_camera_is_placed_anew_and_its_rig_written_beside(capture: LiveCapture, tmp_path: Path) -> None:
+    controls, _, _ = controls_of(capture, tmp_path)
+    save_rig(capture.rig, tmp_path / "rig.json")
+    before = (tmp_path / "rig.json").read_bytes()
+    name, other = capture.rig.names
+    rng = np.random.default_rng(0)
+    for i in range(100):  # a body of 18 joints that goes here and there, seen 0.3 m aside by the camera that was moved
+        body, seen = rng.normal(0, 0.5, 3) + rng.normal(0, 0.3, (18, 3)), {}
+        for each in (name, other):
+            aside = np.array([0.3 if each == name else 0.0, 0.0, 0.0])
+            own = transform_points(rigid_inverse(capture.cameras[each].world_from_camera), body + aside)
+            seen[each] = np.concatenate([own, np.full((18, 1), 0.05)], 1)
+        capture._rig_watch._kept.append((0.1 * i, seen))
+    capture._rig_watch._moved_s[name] = 0.0
+    assert controls.moved == (name,)
+    start = capture.cameras[name].world_from_camera
+    for i, live in enumerate(capture):
+        if i == 2:
+            told = controls.place_anew(name)
+            assert "is placed anew: it had moved by 30." in told and str(tmp_path / "rig-2.json") in told
+            assert str(tmp_path / "rig-3.json") in controls.place_anew(name)
+        if i == 5:
+            moved = {view.camera.name: view.camera for view in frame_set(live.synced, capture.cameras).views}
+            step = moved[name].world_from_camera[:3, 3] - start[:3, 3]
+            np.testing.assert_allclose(step, [-0.3, 0.0, 0.0], atol=1e-6)
+            assert controls.moved == ()
+            controls.stop()
+    written = load_rig(tmp_path / "rig-2.json")[name].world_from_camera
+    np.testing.assert_array_equal(written, capture.cameras[name].world_from_camera)
+    assert (tmp_path / "rig.json").read_bytes() == before
+    with pytest.raises(InputError, match="there is no camera 'x'"):
+        controls.place_anew("x")
 
 
 def test_a_page_beside_the_capture(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

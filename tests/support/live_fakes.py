@@ -24,6 +24,7 @@ class Controls:
 
     filters = ("none", "kalman", "one-euro")
     dropped, problems = 3, {"camera <b> was lost": 2}
+    moved: tuple[str, ...] = ()
 
     def __init__(self) -> None:
         self.smoothing, self.people, self.poses = "kalman", 1, 0
@@ -52,6 +53,10 @@ class Controls:
 
     def learn_background(self) -> None:
         self.asked.append("background")
+
+    def place_anew(self, name: str) -> str:
+        self.asked.append(("place", name))
+        return f"{name} is placed anew"
 
     def mark(self, text: str, timestamp_ns: int | None = None) -> None:
         self.asked.append((text, timestamp_ns))

@@ -128,6 +128,12 @@ def test_clicks_reach_the_capture(live: LivePage, frames: FrameSet) -> None:
         assert until(lambda: (controls.smoothing, controls.people) == ("one-euro", 2))
         client.set(live.background, True)
         assert until(lambda: "background" in controls.asked)
+        controls.moved = ("cam1",)
+        live._next_s.clear()
+        live.send(sample(8))
+        assert live.moved.value == "cam1"  # which was moved
+        client.set(live.place, True)
+        assert until(lambda: ("place", "cam1") in controls.asked)
         client.set(live.stop, True)
         assert until(lambda: live.stop.label == "Click again to stop") and "stop" not in controls.asked
         client.set(live.stop, True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import threading
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
@@ -10,13 +11,19 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from depthmocap.body.skeleton import MIRROR
+from depthmocap.calibration.camera_replacement import Moment
 from depthmocap.calibration.joint_tracks import JointTrack
 from depthmocap.calibration.recording_check import check_tracks
-from depthmocap.calibration.scene_watch import SceneWatch
+from depthmocap.calibration.scene_watch import WINDOW_NS, SceneWatch
 from depthmocap.frames import FrameSet
 from depthmocap.geometry import DepthCamera, transform_points
 from depthmocap.pose.cloud import LabelledCloud
 from depthmocap.pose.extrinsics_check import SETS, ExtrinsicsCheck
+
+#: Joints are kept for this long (seconds), once in so many, so that a camera can be placed anew by them.
+KEPT_S, _EVERY_S = 60.0, 0.1
+#: When a camera is told to have moved, it has stood where it stands now for this long at least (seconds).
+_SINCE_S = 1.5e-9 * WINDOW_NS
 
 
 class RigWatch:
@@ -35,6 +42,9 @@ class RigWatch:
         self._joints: collections.deque[tuple[float, dict[str, Float[ndarray, "18 4"]]]] = collections.deque(
             maxlen=SETS
         )
+        self._kept: collections.deque[Moment] = collections.deque()
+        self._kept_lock = threading.Lock()
+        self._moved_s: dict[str, float] = {}
         self._cameras: dict[str, DepthCamera] = {}
         self._pool: ThreadPoolExecutor | None = None
         self._explanation: Future[list[str]] | None = None
@@ -46,9 +56,11 @@ class RigWatch:
         for view in frames.views:
             share = self._scenes[view.camera.name](view, frames.timestamp_ns)
             if share is not None:
+                self._moved_s[view.camera.name] = frames.timestamp_ns / 1e9 - _SINCE_S
+                way = "place it anew on the page of --view, or " if self._explain else ""
                 problems.append(
                     f"camera {view.camera.name!r} was moved while it ran: {share:.0%} of what stood still before it is "
-                    "elsewhere; depthmocap calibrate RECORDING --out rig.json"
+                    f"elsewhere; {way}depthmocap calibrate RECORDING --out rig.json"
                 )
         misplaced = self._extrinsics_check(cloud)
         if self._explain:
@@ -68,6 +80,25 @@ class RigWatch:
             self._pool.shutdown()
         return [*problems, *misplaced]
 
+    @property
+    def moved(self) -> tuple[str, ...]:
+        """Cameras that were moved and not placed anew, the last one first."""
+        return tuple(sorted(self._moved_s, key=lambda name: -self._moved_s[name]))
+
+    def moments(self, name: str) -> list[Moment]:
+        """What cameras have seen of the followed person in the last minute, since a camera was moved; any thread may
+        ask."""
+        since_s = self._moved_s.get(name, -float("inf"))
+        with self._kept_lock:
+            return [(now_s, seen) for now_s, seen in self._kept if now_s >= since_s]
+
+    def placed_anew(self, name: str) -> None:
+        """Judge all cameras from now on alone, because one of them was placed anew."""
+        self._extrinsics_check = ExtrinsicsCheck()
+        self._joints.clear()
+        self._told.clear()
+        self._moved_s.pop(name, None)
+
     def distances_m(self) -> dict[str, float]:
         """How far apart the cameras see the person (metres), by the extrinsics check."""
         return self._extrinsics_check.distances_m()
@@ -82,6 +113,16 @@ class RigWatch:
                 seen[camera.name] = (own + own[MIRROR]) / 2
                 self._cameras[camera.name] = camera
         self._joints.append((now_s, seen))
+        if not seen:
+            return
+        with self._kept_lock:
+            if self._kept and not _EVERY_S <= now_s - self._kept[-1][0] < KEPT_S:
+                if 0 <= now_s - self._kept[-1][0] < _EVERY_S:
+                    return
+                self._kept.clear()  # time went back, or nobody was there for long
+            self._kept.append((now_s, seen))
+            while now_s - self._kept[0][0] > KEPT_S:
+                self._kept.popleft()
 
     def _start(self) -> None:
         cameras, tracks = list(self._cameras.values()), []

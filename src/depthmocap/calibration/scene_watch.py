@@ -28,7 +28,7 @@ _WINDOWS = 2
 _STILL_M, _STILL_PER_M2 = 0.004, 0.0006
 #: and has changed if it differs by more than this (metres), and by so many times what it wavered.
 _CHANGED_M, _WAVERS = 0.01, 6.0
-#: What is nearer by more than this (metres) is somebody or something that came before it.
+#: What is nearer or farther by more than this (metres) is somebody or something that came before it, or went away.
 _CAME_M = 0.25
 #: A camera was moved if this share of what was still has changed,
 MOVED_SHARE = 0.2
@@ -82,8 +82,12 @@ class SceneWatch:
         still = known & (was_m > 0) & (wavered_m < _STILL_M + _STILL_PER_M2 * was_m**2)
         shares = []
         for window in last:
-            nearer = (window > 0) & (window < was_m - _CAME_M)
-            seen = still & (window > 0) & ~nearer
+            known_now = still & (window > 0)
+            came, went = known_now & (window < was_m - _CAME_M), known_now & (window > was_m + _CAME_M)
+            if min(came.sum(), went.sum()) > MOVED_SHARE * still.sum():  # a knock: no one thing does both
+                shares.append(float((came | went).sum() / still.sum()))
+                continue
+            seen = known_now & ~came & ~went
             if seen.sum() < max(_LEAST_STILL, _LEAST_SEEN * still.sum()):
                 return None
             changed = np.abs(window - was_m) > np.maximum(_CHANGED_M, _WAVERS * wavered_m)

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, UInt16
 from numpy import ndarray
 
+from depthmocap.calibration.camera_replacement import Replacement, place_anew
 from depthmocap.calibration.rig_watch import RigWatch
 from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.cameras.registry import make_sources
@@ -209,6 +210,29 @@ class LiveCapture:
     def apart_m(self) -> dict[str, float]:
         """How far apart the cameras see the person (metres), by the extrinsics check."""
         return self._rig_watch.distances_m()
+
+    @property
+    def moved(self) -> tuple[str, ...]:
+        """Cameras that were moved while it ran and not placed anew, the last one first."""
+        return self._rig_watch.moved
+
+    def find_place(self, name: str) -> Replacement:
+        """Where a camera stands by the joints of the last minute, or since it was moved; from any thread. It takes a
+        second. :meth:`place` goes on with it.
+
+        Raises:
+            InputError: when there is no such camera, or too little of a person was seen.
+        """
+        return place_anew(name, self.cameras, self._rig_watch.moments(name), np.random.default_rng(0))
+
+    def place(self, camera: DepthCamera) -> None:
+        """Take a camera's pose for its own before the next set; from any thread."""
+
+        def change() -> None:
+            self.reader.place(camera)
+            self._rig_watch.placed_anew(camera.name)
+
+        self.before_next_set(change)
 
     def statuses(self) -> list[CameraStatus]:
         """The current status of every camera."""

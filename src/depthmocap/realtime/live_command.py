@@ -123,7 +123,7 @@ def run_live(settings: LiveSettings, console: Console | None = None, served: Pag
             recording = TakeRecording(capture)
             if page is not None:
                 folder = settings.record.parent if settings.record else settings.out or Path()
-                page.controls = controls = LiveControls(capture, settings, recording, folder, write_held)
+                page.controls = controls = LiveControls(capture, settings, recording, folder, write_held, settings.rig)
                 markers = controls.markers
         stack.enter_context(capture)
         if recording is not None and isinstance(capture, LiveCapture):

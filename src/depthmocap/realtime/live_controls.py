@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,6 +13,7 @@ from depthmocap.core.network_devices import networks_on
 from depthmocap.errors import InputError
 from depthmocap.exporting.edits import LONGEST_NAME, TakeMarker
 from depthmocap.frames import Pose
+from depthmocap.geometry import save_rig
 from depthmocap.offline.pipeline import Pipeline
 from depthmocap.offline.pipeline_settings import PipelineSettings
 from depthmocap.realtime.live_capture import BackgroundSource, LiveCapture
@@ -40,15 +43,18 @@ class LiveControls:
         recording: TakeRecording,
         folder: Path,
         write_held: Callable[[Sequence[Pose], Mapping[int, Sequence[Pose]]], None],
+        rig_file: Path | None = None,
     ) -> None:
         """
         Args:
             settings: of the capture's pipeline.
             write_held: takes the poses that a filter has held back, when it is replaced by another: of the person
                 followed first, and of everybody.
+            rig_file: the rig of the cameras, beside which new ones are written; by default rig.json in ``folder``.
         """
         self._capture, self._settings, self._recording = capture, settings, recording
         self._write_held, self.folder = write_held, folder
+        self._rig_file = rig_file or folder / "rig.json"
         self.markers: list[TakeMarker] = []
         self.smoothing: str = AUTO if settings.smooth == "auto" else settings.smooth
         self.people = settings.people
@@ -145,6 +151,28 @@ class LiveControls:
 
         self._change(change)
 
+    @property
+    def moved(self) -> tuple[str, ...]:
+        """Cameras that were moved while it ran and not placed anew, the last one first."""
+        return self._capture.moved
+
+    def place_anew(self, name: str) -> str:
+        """Place a camera by the joints of the last minute, go on with it, and write the rig into a new file beside
+        the one that it has; gives a line about it. The empty scenes are learnt anew.
+
+        Raises:
+            InputError: when it cannot be told where the camera stands, or the file cannot be written.
+        """
+        found = self._capture.find_place(name)
+        rig = self._capture.rig
+        cameras = (found.camera if camera.name == name else camera for camera in rig.cameras)
+        path = _beside(self._rig_file)
+        save_rig(dataclasses.replace(rig, cameras=tuple(cameras)), path)
+        self._capture.place(found.camera)
+        self.learn_background()
+        recorded = "" if self.recording is None else f"; {self.recording} keeps the old pose: run it with --rig {path}"
+        return f"{found}; written to {path}{recorded}"
+
     def mark(self, text: str, timestamp_ns: int | None = None) -> None:
         """Set a marker, which goes to the streams and into the result.
 
@@ -165,3 +193,9 @@ class LiveControls:
                 change(self._capture.pipeline)
 
         self._capture.before_next_set(call)
+
+
+def _beside(path: Path) -> Path:
+    """A name in a row that no file has: rig-2.json for rig.json."""
+    numbered = (path.with_name(f"{path.stem}-{number}{path.suffix}") for number in itertools.count(2))
+    return next(other for other in numbered if not other.exists())

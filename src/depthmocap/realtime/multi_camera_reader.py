@@ -13,6 +13,9 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType, TracebackType
 from typing import Any, Protocol, runtime_checkable
 
+from jaxtyping import Float
+from numpy import ndarray
+
 from depthmocap.cameras.source import (
     CameraMismatchError,
     DepthFrame,
@@ -94,6 +97,7 @@ class MultiCameraReader:
         self._lock = threading.Lock()
         self._readers: dict[str, _SourceThread] = {}
         self._states: Mapping[str, SourceState] = MappingProxyType({})
+        self._poses: dict[str, Float[ndarray, "4 4"]] = {}
         self._running = self._stopped = False
         self._changed, self._resumed = threading.Condition(), threading.Event()
         if not paused:
@@ -117,6 +121,30 @@ class MultiCameraReader:
         """The camera of this name; None if it was not opened yet."""
         state = self._states.get(name)
         return None if state is None else state.camera
+
+    def place(self, camera: DepthCamera) -> None:
+        """Take a camera's pose for its own from now on, also when it is opened again.
+
+        Raises:
+            InputError: when there is none of this name, or it was not opened yet.
+        """
+        with self._lock:
+            state = self._states.get(camera.name)
+            if state is None or state.camera is None:
+                raise InputError(f"there is no camera {camera.name!r} that was opened")
+            self._poses[camera.name] = camera.world_from_camera
+            self._states = MappingProxyType({**self._states, camera.name: dataclasses.replace(state, camera=camera)})
+
+    def placed(self, camera: DepthCamera) -> DepthCamera:
+        """A camera that was opened, where the rig has it, or where it was placed since.
+
+        Raises:
+            CameraMismatchError: when it does not fit the rig.
+        """
+        camera = place_in_rig(camera, self.rig) if self.rig else camera
+        if (pose := self._poses.get(camera.name)) is not None:
+            camera = dataclasses.replace(camera, world_from_camera=pose)
+        return camera
 
     @property
     def finished(self) -> bool:
@@ -292,8 +320,7 @@ class _SourceThread:
         """Open the source and read it until it ends. Raises what the source raises."""
         self._delivering = False
         with self.source as source:
-            rig = self._readers.rig
-            camera = place_in_rig(source.camera, rig) if rig else source.camera
+            camera = self._readers.placed(source.camera)
             self._delivering = True
             self._update_state(RUNNING, camera=camera, attempted=True, mismatched=False)
             if self._stop.is_set():

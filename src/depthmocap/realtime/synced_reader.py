@@ -102,6 +102,14 @@ class SyncedReader:
         """The camera of this name; None if it was not opened yet."""
         return self._reader.camera(name)
 
+    def place(self, camera: DepthCamera) -> None:
+        """Take a camera's pose for its own from now on, also when it is opened again.
+
+        Raises:
+            InputError: when there is none of this name, or it was not opened yet.
+        """
+        self._reader.place(camera)
+
     @property
     def rate_hz(self) -> float:
         """Sets a second, as given or as measured."""

@@ -71,6 +71,9 @@ class CaptureControls(Protocol):
     def smooth(self, name: str) -> None: ...
     def follow(self, people: int) -> None: ...
     def learn_background(self) -> None: ...
+    @property
+    def moved(self) -> tuple[str, ...]: ...
+    def place_anew(self, name: str) -> str: ...
     def mark(self, text: str, timestamp_ns: int | None = None) -> None: ...
     def stop(self) -> None: ...
 
@@ -94,6 +97,7 @@ class LivePage(Stream):
         self._stop_asked_s = -_ASKED_S
         self._next_s: dict[str, float] = {}
         self._trails: dict[int, Trail] = {}
+        self._moved: tuple[str, ...] = ()
 
     def start(self, setup: StreamSetup) -> None:
         """Draw what is known before the first sample."""
@@ -109,7 +113,7 @@ class LivePage(Stream):
             with self.tabs.add_tab("Capture", viser.Icon.ACTIVITY):
                 self.status = gui.add_html("")
                 if self.controls is not None:
-                    self._add_controls(gui, self.controls)
+                    self._add_controls(gui, self.controls, setup.rig.names)
                 self._add_showing(gui)
                 self._plots = LivePlots(gui)
             self._pictures: dict[str, Any] = {}
@@ -119,7 +123,7 @@ class LivePage(Stream):
                 for camera in cameras:
                     self._add_picture(gui, camera.name)
 
-    def _add_controls(self, gui: viser.GuiApi, controls: CaptureControls) -> None:
+    def _add_controls(self, gui: viser.GuiApi, controls: CaptureControls, names: Sequence[str]) -> None:
         with gui.add_folder("Record"):
             self.file = gui.add_text("File", "take-1")
             self.record = gui.add_button("Record", icon=viser.Icon.PLAYER_RECORD)
@@ -129,11 +133,14 @@ class LivePage(Stream):
             self.smoothing = gui.add_dropdown("Smoothing", controls.filters, initial_value=controls.smoothing)
             self.count = gui.add_number("People", controls.people, min=1, max=MOST_PEOPLE, step=1)
             self.background = gui.add_button("Learn the empty scene anew")
+            self.moved = gui.add_dropdown("Camera", tuple(names) or ("",))
+            self.place = gui.add_button("Place the camera anew")
             self.stop = gui.add_button("Stop the capture", color="red", icon=viser.Icon.PLAYER_STOP)
         for handle, call in (
             (self.record, self._record), (self.mark_button, self._mark), (self.background, controls.learn_background),
             (self.smoothing, lambda: controls.smooth(str(self.smoothing.value))),
             (self.count, lambda: controls.follow(int(self.count.value))), (self.stop, self._stop),
+            (self.place, lambda: self.page.tell(controls.place_anew(str(self.moved.value)))),
         ):  # fmt: skip
             every(handle, lambda call=call: self._show_errors_of(call))
 
@@ -280,6 +287,9 @@ class LivePage(Stream):
         self.status.content = words(lines)
         self._show_recording()
         self.smoothing.value, self.count.value = controls.smoothing, controls.people  # sent where they differ
+        if controls.moved[:1] != self._moved:  # the choice is the user's until another camera was moved
+            self._moved = controls.moved[:1]
+            self.moved.value = next(iter(self._moved), self.moved.value)
         if self.stop.label == "Click again to stop" and time.monotonic() - self._stop_asked_s > _ASKED_S:
             self.stop.label = "Stop the capture"
 
