@@ -70,24 +70,23 @@ def test_what_is_too_little_is_told() -> None:
 
 def test_the_watch_keeps_the_last_minute_in_the_cameras_own_frames() -> None:
     watch, told = RigWatch("z", explain=True), cameras()
-    rng, times_s = np.random.default_rng(0), np.arange(0, 75, 0.05)
-    seen = {name: track(TRUE[name], times_s, rng) for name in told}
+    right = tuple(dataclasses.replace(camera, world_from_camera=TRUE[name]) for name, camera in told.items())
+    rng, times_s = np.random.default_rng(0), np.arange(0, 68, 0.25)
+    seen = [track(camera.world_from_camera, times_s, rng) for camera in right]
     nothing = np.empty(0, np.float32)
-    cloud = LabelledCloud(np.empty((0, 3), np.float32), np.empty(0, np.uint8), nothing, (0, 0, 0), tuple(told.values()))
+    cloud = LabelledCloud(np.empty((0, 3), np.float32), np.empty(0, np.uint8), nothing, (0, 0, 0), right)
     for i, now_s in enumerate(times_s):
         joints = tuple(
-            np.concatenate(
-                [transform_points(told[name].world_from_camera, each.joints[i]), each.sigma_m[i][:, None]], 1
-            )
-            for name, each in seen.items()
+            np.concatenate([transform_points(camera.world_from_camera, each.joints[i]), each.sigma_m[i][:, None]], 1)
+            for camera, each in zip(right, seen, strict=True)
         )
-        watch(FrameSet(round(now_s * 1e9), ()), dataclasses.replace(cloud, joints=joints))
+        assert watch(FrameSet(round(now_s * 1e9), ()), dataclasses.replace(cloud, joints=joints)) == []
     kept = watch.moments("b")
-    assert kept[-1][0] - kept[0][0] == pytest.approx(KEPT_S, abs=0.2) and len(kept) <= KEPT_S / 0.1 + 1
+    assert kept[-1][0] - kept[0][0] == pytest.approx(KEPT_S, abs=0.3)
     found = place_anew("b", told, kept, np.random.default_rng(0))
     metres, turned = errors(found.camera.world_from_camera, TRUE["b"], (0.0, 0.0, 0.9))
     assert metres < 0.02 and np.rad2deg(turned) < 1
-    assert watch.moved == ()
+    assert watch.moved == () and watch.distances_m()
     watch.placed_anew("b")
     assert watch.distances_m() == {}
-    watch.finish()
+    assert watch.finish() == []
