@@ -58,6 +58,13 @@ def test_a_table_that_is_moved_and_sensors_that_drift_are_no_bump() -> None:
     assert shares([still, table]) == []
     assert shares([still, still + 0.004]) == []
     assert shares([still, np.where(np.arange(96) < 60, still, 1.2).astype(np.float32)]) == []  # somebody comes near
+    before = np.where(np.arange(96) < 40, 1.2, still).astype(np.float32)
+    after = np.where(np.arange(96) > 60, 1.2, still).astype(np.float32)
+    assert shares([before, after]) == []  # somebody near goes aside
+
+
+def test_a_knock_is_told() -> None:
+    assert len(shares([room_m(camera()), room_m(camera(turn_deg=20.0))])) == 1
 
 
 def test_the_watch_names_the_camera() -> None:

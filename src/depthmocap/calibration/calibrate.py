@@ -17,8 +17,10 @@ from rich.table import Table
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.calibration.calibration_page import draw_clouds, pair_table, write_page
 from depthmocap.calibration.camera_placement import Placement, mean_joints, place_cameras, why_unreliable
+from depthmocap.calibration.joint_tracks import JointTrack
 from depthmocap.calibration.lateness_by_motion import find_jumps, jump_lines
 from depthmocap.calibration.observations import Observation
+from depthmocap.calibration.origin import WALK, check_origin, find_lab
 from depthmocap.calibration.refine import RefinedPlacement, refine
 from depthmocap.calibration.rig_check import RigCheck, check_rig, tell_check
 from depthmocap.calibration.sighting import Sighting, cameras_left_out, mended_rig, see_person, without
@@ -38,6 +40,8 @@ from depthmocap.recordings.recording import Recording
 from depthmocap.text import camera_list, joined, offset_lines
 
 _GRADES = ("good", "fair", "poor")
+#: Expected error of the joints that several cameras see together (metres).
+_PERSON_SIGMA_M = 0.03
 _FLOORS = {
     "floor": "The floor is where the cameras see it.",
     "feet": "No camera sees enough of the floor: it is where the feet stood, to a few centimetres.",
@@ -62,6 +66,9 @@ class CalibrateSettings(NetworkSettings):
             good, bumped or not known. No rig is written.
         mend: write into the rig what mends wrong depth units and mirrored pictures. Otherwise they are named, and their
             cameras left out.
+        origin: the lab's own axes: "walk", from where the person first stands (the origin) and where they stand next
+            (+X); a .json file of points of the floor; or a .c3d file of the same movement. By default the origin is
+            below the middle of the person's path.
     """
 
     recording: tyro.conf.Positional[Path]
@@ -73,12 +80,15 @@ class CalibrateSettings(NetworkSettings):
     weights: Path | None = None
     check: Path | None = None
     mend: bool = False
+    origin: str = ""
     seed: int = 0
 
     def __post_init__(self) -> None:
         check_seed(self.seed)
         if not 1 <= self.rate_hz <= 120:
             raise InputError(f"--rate-hz takes 1 to 120, got {self.rate_hz:g}")
+        if self.origin:
+            check_origin(self.origin)
         if self.out.suffix.lower() != ".json":
             raise InputError(f"--out must end in .json, got {self.out}")
 
@@ -103,6 +113,8 @@ class Calibration:
         trajectory: positions of the pelvis in the world (metres).
         clouds: points of the empty scene by placed camera, in the camera's frame (metres).
         check: how far the cameras of an existing rig are off, if one is checked.
+        person: the person's joints in the world (metres), by the times of the recording; None where they are not kept.
+        origin: what the world's origin and axes are by, where the lab's were asked for, a line each.
     """
 
     rig: Rig
@@ -114,6 +126,8 @@ class Calibration:
     trajectory: Float[ndarray, "n 3"]
     clouds: dict[str, Float[ndarray, "_ 3"]]
     check: RigCheck | None = None
+    person: JointTrack | None = None
+    origin: tuple[str, ...] = ()
 
     @property
     def grade(self) -> str:
@@ -189,8 +203,10 @@ def solve_rig(
     warnings = [*find_warnings(placed_names, placement, pairs), *jump_lines(placed_names, jumps, start_s), *problems]
     if not refined.surfaces_used:
         warnings.append("no surface was seen well by two cameras, or it did not fit the skeletons, which decide alone")
-    hips = mean_joints(refined.poses, placement.skeletons)[:, JOINT_INDEX["Hip"]]
-    trajectory = transform_points(upright.world_from_old, hips[np.isfinite(hips).all(1)])
+    joints = transform_points(upright.world_from_old, mean_joints(refined.poses, placement.skeletons))
+    hips = joints[:, JOINT_INDEX["Hip"]]
+    trajectory = hips[np.isfinite(hips).all(1)]
+    person = JointTrack(placement.skeletons.times_s, joints, np.full(joints.shape[:2], _PERSON_SIGMA_M))
     unplaced = {
         name: left_out.get(name) or _why_unplaced(index, names, observations, placement)
         for index, name in enumerate(names)
@@ -198,7 +214,7 @@ def solve_rig(
     }
     clouds = {observation.camera.name: observation.empty_surface().points for observation in placed}
     offset_s = {} if placement.untold else dict(zip(placed_names, placement.offset_s.tolist(), strict=True))
-    return Calibration(rig, upright.source, unplaced, pairs, warnings, offset_s, trajectory, clouds)
+    return Calibration(rig, upright.source, unplaced, pairs, warnings, offset_s, trajectory, clouds, person=person)
 
 
 def _rig(observations: list[Observation], refined: RefinedPlacement, upright: Upright, placement: Placement) -> Rig:
@@ -255,9 +271,14 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
     recording = open_recording(settings.recording)
     check_outputs(
         {"--out": settings.out, "--report": settings.page, "--json": settings.json},
-        {"the recording": settings.recording, "the file of --weights": settings.weights},
-    )
+        {
+            "the recording": settings.recording, "the file of --weights": settings.weights,
+            "the file of --origin": Path(settings.origin) if settings.origin not in ("", WALK) else None,
+        },
+    )  # fmt: skip
     calibration = find_rig(recording, settings, console)
+    if settings.origin:
+        calibration = _in_lab(calibration, settings)
     for path in (settings.page, settings.json):  # of another rig
         if path is not None:
             path.unlink(missing_ok=True)
@@ -266,7 +287,8 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
     before = _in_z_up_world(
         {name: recording.rig[name].world_from_camera for name in calibration.rig.names}, recording.up
     )
-    after = {camera.name: camera.world_from_camera for camera in calibration.rig.cameras}
+    rig = calibration.rig
+    after = _in_z_up_world({camera.name: camera.world_from_camera for camera in rig.cameras}, rig.up)
     pictures = _draw(calibration, before, None), _draw(calibration, after, calibration.trajectory)
     write_page(settings.page, headline, notes, calibration.pairs, pictures)
     if settings.json is not None:
@@ -278,11 +300,26 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
     return calibration
 
 
+def _in_lab(calibration: Calibration, settings: CalibrateSettings) -> Calibration:
+    """The calibration in the lab's own axes."""
+    assert calibration.person is not None
+    lab = find_lab(settings.origin, calibration.person, calibration.rig, np.random.default_rng([settings.seed, 2]))
+    z_up = np.eye(4)
+    z_up[:3, :3] = z_up_from(lab.up)
+    return dataclasses.replace(
+        calibration,
+        rig=lab.rig(calibration.rig),
+        trajectory=transform_points(z_up @ lab.lab_from_world, calibration.trajectory),
+        origin=tuple(lab.lines),
+    )
+
+
 def calibration_lines(calibration: Calibration, cameras: int) -> list[str]:
     """The verdict, and what was noticed, a line each; ``cameras``: how many there are, placed or not."""
     return [
         _headline(calibration, cameras),
         _FLOORS[calibration.floor],
+        *calibration.origin,
         *(f"Camera {name!r} is not in the rig: {reason}." for name, reason in calibration.unplaced.items()),
         *(f"Noticed: {warning}." for warning in calibration.warnings),
         *(f"{line}."[0].upper() + f"{line}."[1:] for line in offset_lines(time_offsets_s(calibration.rig.cameras))),
@@ -291,8 +328,9 @@ def calibration_lines(calibration: Calibration, cameras: int) -> list[str]:
 
 def _check(settings: CalibrateSettings, rig: Rig, console: Console) -> Calibration:
     """Compare a rig with what the recording says, and print the verdict."""
-    if settings.mend:
-        raise InputError("--mend is for a rig that is written, and --check writes none")
+    if settings.mend or settings.origin:
+        option = "--mend" if settings.mend else "--origin"
+        raise InputError(f"{option} is for a rig that is written, and --check writes none")
     check_outputs(
         {"--json": settings.json}, {"the recording": settings.recording, "the file of --check": settings.check}
     )
@@ -343,6 +381,7 @@ def _as_json(calibration: Calibration) -> dict[str, Any]:
         "unplaced": calibration.unplaced,
         "pairs": [{**dataclasses.asdict(pair), "verdict": pair.grade} for pair in calibration.pairs],
         "late_ms": {name: 1e3 * offset_s for name, offset_s in calibration.offset_s.items()},
+        "origin": list(calibration.origin),
         "time_offset_s": {camera.name: camera.time_offset_s for camera in calibration.rig.cameras},
         "warnings": calibration.warnings,
     }

@@ -84,11 +84,9 @@ class SceneWatch:
         for window in last:
             known_now = still & (window > 0)
             came, went = known_now & (window < was_m - _CAME_M), known_now & (window > was_m + _CAME_M)
-            if min(came.sum(), went.sum()) > MOVED_SHARE * still.sum():  # a knock: no one thing does both
-                shares.append(float((came | went).sum() / still.sum()))
-                continue
             seen = known_now & ~came & ~went
-            if seen.sum() < max(_LEAST_STILL, _LEAST_SEEN * still.sum()):
+            knocked = min(came.sum(), went.sum()) > MOVED_SHARE * still.sum()  # little is left to compare
+            if seen.sum() < max(_LEAST_STILL, 0 if knocked else _LEAST_SEEN * still.sum()):
                 return None
             changed = np.abs(window - was_m) > np.maximum(_CHANGED_M, _WAVERS * wavered_m)
             shares.append(float((changed & seen).sum() / seen.sum()))
