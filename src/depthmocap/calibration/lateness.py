@@ -14,8 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from depthmocap.calibration.joint_tracks import JointTrack, common_times, resample
-from depthmocap.calibration.pairs import LEAST_JOINTS, align, geman_mcclure, usable_joints
-from depthmocap.geometry import transform_points
+from depthmocap.calibration.pairs import SharedJoints, geman_mcclure
 
 #: Offsets up to this (seconds) are searched,
 LONGEST_S = 2.0
@@ -87,31 +86,16 @@ def agreement(
 ) -> Float[ndarray, " n"]:
     """How well the skeletons fit at each moment if b exposes ``late_s`` later than a: 0 to 1, NaN where one lacks."""
     skeletons = resample([a, b], times_s, np.array([0.0, late_s]))
-    known = usable_joints(skeletons.joints, skeletons.sigma_m)
-    common = known[0] & known[1]
-    common &= common.sum(1, keepdims=True) >= LEAST_JOINTS
-    frames = np.flatnonzero(common.any(1))
+    one, other = skeletons.joints
+    shared = SharedJoints.of((one, other), (skeletons.sigma_m[0], skeletons.sigma_m[1]))
     scores = np.full(len(times_s), np.nan)
-    if not len(frames):
+    if not len(shared.frame_of):
         return scores
-    frame_of = np.nonzero(common)[0]
-    one, other = skeletons.joints[0][common], skeletons.joints[1][common]
-    expected = np.sqrt(skeletons.sigma_m[0][common] ** 2 + skeletons.sigma_m[1][common] ** 2)
-
-    def weights(a_from_b: Float[ndarray, "4 4"]) -> Float[ndarray, " k"]:
-        return geman_mcclure(np.linalg.norm(one - transform_points(a_from_b, other), axis=1) / expected)
-
-    best, most = np.eye(4), -1.0
-    for _ in range(_FITS):
-        chosen = np.isin(frame_of, rng.choice(frames, min(2, len(frames)), replace=False))
-        candidate = align(one[chosen], other[chosen], 1 / expected[chosen] ** 2)
-        if (score := float(weights(candidate).sum())) > most:
-            best, most = candidate, score
-    for _ in range(_ITERATIONS):
-        best = align(one, other, weights(best) / expected**2)
-    counts = np.bincount(frame_of, minlength=len(times_s))
-    sums = np.bincount(frame_of, weights(best), len(times_s))
-    scores[frames] = sums[frames] / counts[frames]
+    weights = geman_mcclure(shared.ratios(shared.fit(rng, _FITS, _ITERATIONS)))
+    counts = np.bincount(shared.frame_of, minlength=len(times_s))
+    sums = np.bincount(shared.frame_of, weights, len(times_s))
+    seen = counts > 0
+    scores[seen] = sums[seen] / counts[seen]
     return scores
 
 

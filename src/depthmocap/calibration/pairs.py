@@ -10,9 +10,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
-from scipy.spatial.transform import Rotation
 
 from depthmocap.geometry import transform_points
 
@@ -62,9 +61,12 @@ def align(a: Float[ndarray, "n 3"], b: Float[ndarray, "n 3"], weights: Float[nda
     """The rigid transform (4×4) from points b to points a by weighted least squares."""
     normalised = weights / weights.sum()
     middle_a, middle_b = normalised @ a, normalised @ b
-    rotation = Rotation.align_vectors(a - middle_a, b - middle_b, normalised)[0]
+    # The orthogonal Procrustes problem (Kabsch): thousands of these make a calibration, so nothing around it.
+    u, _, vt = np.linalg.svd((a - middle_a).T @ ((b - middle_b) * normalised[:, None]))
+    if np.linalg.det(u) * np.linalg.det(vt) < 0:
+        u[:, 2] *= -1
     a_from_b = np.eye(4)
-    a_from_b[:3, :3] = rotation.as_matrix()
+    a_from_b[:3, :3] = u @ vt
     a_from_b[:3, 3] = middle_a - a_from_b[:3, :3] @ middle_b
     return a_from_b
 
@@ -72,6 +74,54 @@ def align(a: Float[ndarray, "n 3"], b: Float[ndarray, "n 3"], weights: Float[nda
 def geman_mcclure(ratio: Float[ndarray, "*n"]) -> Float[ndarray, "*n"]:
     """Robust weights of residuals given in units of their expected size."""
     return 1 / (1 + (ratio / CUT) ** 2) ** 2
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class SharedJoints:
+    """The joints that both of two cameras see well enough, one after the other.
+
+    Attributes:
+        frame_of: the frame of each joint, ascending.
+        a, b: in the frame of each camera (metres).
+        expected_m: the expected distance of the two.
+    """
+
+    frame_of: Int[ndarray, " k"]
+    a: Float[ndarray, "k 3"]
+    b: Float[ndarray, "k 3"]
+    expected_m: Float[ndarray, " k"]
+
+    @classmethod
+    def of(
+        cls,
+        joints: tuple[Float[ndarray, "n 18 3"], Float[ndarray, "n 18 3"]],
+        sigma_m: tuple[Float[ndarray, "n 18"], Float[ndarray, "n 18"]],
+    ) -> SharedJoints:
+        """Of two cameras' skeletons at the same times; without frames that show too few common joints."""
+        common = usable_joints(joints[0], sigma_m[0]) & usable_joints(joints[1], sigma_m[1])
+        common &= common.sum(1, keepdims=True) >= LEAST_JOINTS
+        expected_m = np.sqrt(sigma_m[0][common] ** 2 + sigma_m[1][common] ** 2)
+        return cls(np.nonzero(common)[0], joints[0][common], joints[1][common], expected_m)
+
+    def ratios(self, a_from_b: Float[ndarray, "4 4"]) -> Float[ndarray, " k"]:
+        """The distances of the joints in units of the expected ones."""
+        return np.linalg.norm(self.a - transform_points(a_from_b, self.b), axis=1) / self.expected_m
+
+    def fit(self, rng: np.random.Generator, fits: int, iterations: int) -> Float[ndarray, "4 4"]:
+        """``a_from_b`` by so many iterations from the best of so many fits to a few frames. Needs a frame."""
+        frames, starts = np.unique(self.frame_of, return_index=True)
+        joints_of = np.split(np.arange(len(self.frame_of)), starts[1:])
+        weights = 1 / self.expected_m**2
+        best, most = np.eye(4), -1.0
+        for _ in range(fits):
+            drawn = rng.choice(len(frames), min(_FRAMES, len(frames)), replace=False)
+            chosen = np.concatenate([joints_of[i] for i in drawn])
+            candidate = align(self.a[chosen], self.b[chosen], weights[chosen])
+            if (score := float(geman_mcclure(self.ratios(candidate)).sum())) > most:
+                best, most = candidate, score
+        for _ in range(iterations):
+            best = align(self.a, self.b, geman_mcclure(self.ratios(best)) * weights)
+        return best
 
 
 def estimate_pair(
@@ -82,29 +132,13 @@ def estimate_pair(
 ) -> CameraPair | None:
     """The relative pose of two cameras from their skeletons at the same times, from the best of so many initial fits;
     None without a common frame."""
-    common = usable_joints(joints[0], sigma_m[0]) & usable_joints(joints[1], sigma_m[1])
-    common &= common.sum(1, keepdims=True) >= LEAST_JOINTS
-    frames = np.flatnonzero(common.any(1))
-    if not len(frames):
+    shared = SharedJoints.of(joints, sigma_m)
+    if not len(shared.frame_of):
         return None
-    frame_of = np.nonzero(common)[0]
-    a, b = joints[0][common], joints[1][common]
-    expected = np.sqrt(sigma_m[0][common] ** 2 + sigma_m[1][common] ** 2)
-
-    def ratios(a_from_b: Float[ndarray, "4 4"]) -> Float[ndarray, " k"]:
-        return np.linalg.norm(a - transform_points(a_from_b, b), axis=1) / expected
-
-    a_from_b, best_score = np.eye(4), -1.0
-    for _ in range(fits):
-        chosen = np.isin(frame_of, rng.choice(frames, min(_FRAMES, len(frames)), replace=False))
-        candidate = align(a[chosen], b[chosen], 1 / expected[chosen] ** 2)
-        if (score := float(geman_mcclure(ratios(candidate)).sum())) > best_score:
-            a_from_b, best_score = candidate, score
-    for _ in range(_ITERATIONS):
-        a_from_b = align(a, b, geman_mcclure(ratios(a_from_b)) / expected**2)
-    distances = np.full(common.shape, np.nan)
-    distances[common] = ratios(a_from_b) * expected
-    medians = np.nanmedian(distances[frames], axis=1)
-    agreed = medians < AGREES_M
-    distance = float(np.nanmedian(distances[frames[agreed]])) if agreed.any() else float("nan")
-    return CameraPair(a_from_b, len(frames), int(agreed.sum()), distance)
+    a_from_b = shared.fit(rng, fits, _ITERATIONS)
+    distances = shared.ratios(a_from_b) * shared.expected_m
+    frames, starts = np.unique(shared.frame_of, return_index=True)
+    by_frame = np.split(distances, starts[1:])
+    agreed = [of_frame for of_frame in by_frame if np.median(of_frame) < AGREES_M]
+    distance = float(np.median(np.concatenate(agreed))) if agreed else float("nan")
+    return CameraPair(a_from_b, len(frames), len(agreed), distance)
