@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,19 +21,17 @@ from depthmocap.analysis.strides import Stride, strides
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
-from depthmocap.core.network_devices import NetworkSettings, networks_on
-from depthmocap.core.output import check_outputs
-from depthmocap.core.settings import check_seed, plain_settings
+from depthmocap.core.network_devices import networks_on
+from depthmocap.core.settings import plain_settings
 from depthmocap.errors import InputError
 from depthmocap.evaluate.estimated_sequences import EstimateStore, SequenceEstimates, estimate_sequence
-from depthmocap.evaluate.evaluation_report import JsonOutput
 from depthmocap.evaluate.motion_protocol import apply_filter
+from depthmocap.evaluate.sequence_settings import SequenceSettings
 from depthmocap.evaluate.walking_scenes import Scene, clip_scenes, made_scenes, seen_frames
 from depthmocap.exporting.timeline import timeline
 from depthmocap.frames import Pose
 from depthmocap.pose.estimators import load_estimator
 from depthmocap.smooth.filters import AUTO, load_filter
-from depthmocap.synth.sample import Split
 from depthmocap.synth.sensing.sensors import find_sensor
 
 #: Settings that the estimates do not depend on.
@@ -45,42 +42,27 @@ _EVENTS = ("heel_strike", "toe_off")
 
 
 @dataclasses.dataclass(frozen=True)
-class AnalysisEvaluation(NetworkSettings, JsonOutput):
+class AnalysisEvaluation(SequenceSettings):
     """The numbers of ``analyse`` against the truth: generated people walk straight on, walk in turns, sit down and
     stand up, cameras with errors look, the network labels, joints are estimated and filtered as ``run`` does it.
 
     Attributes:
-        out: folder for the estimates, which are made once.
         postures: folder of motion capture clips, of whose walks some are shown as well.
-        split: of the clips.
         sequences: so many of each kind of motion.
         clips: so many clips at most.
-        views: cameras, all around.
-        sensors: each camera is one of these.
         least_confidence, fill_s, cutoff_hz: as of ``analyse``.
-        weights: a classifier.onnx of your own.
-        estimator: of the joints: votes, ridge, or a file that ``train pose`` wrote.
     """
 
-    out: Path
-    postures: Path | None = None
-    split: Split = "test"
     sequences: int = 4
     clips: int = 12
-    views: int = 3
-    sensors: tuple[str, ...] = ("kinect2", "azure-nfov-binned")
-    seed: int = 0
     least_confidence: float = 0.5
     fill_s: float = 0.1
     cutoff_hz: float = 6.0
-    weights: Path | None = None
-    estimator: str = "votes"
 
     def __post_init__(self) -> None:
-        check_seed(self.seed)
-        check_outputs({"--json": self.json}, {"what --weights names": self.weights})
-        if min(self.sequences, self.views, self.clips) < 1 or not self.sensors:
-            raise InputError("--sequences, --clips, --views and --sensors take at least 1")
+        super().__post_init__()
+        if self.clips < 1:
+            raise InputError(f"--clips takes at least 1, got {self.clips}")
 
 
 @locks_outputs(folder="out", files=("json",))
@@ -96,15 +78,18 @@ def evaluate_analysis(settings: AnalysisEvaluation, console: Console | None = No
         rng = np.random.default_rng([settings.seed, 1])
         scenes += clip_scenes(settings.postures, settings.split, settings.clips, rng)
     sequences = _estimates(settings, scenes, console)
-    numbers: dict[str, Any] = {"settings": plain_settings(settings), "frames": sum(len(each.joints) for each in scenes)}
+    numbers: dict[str, Any] = {
+        "settings": plain_settings(settings),
+        "frames": sum(len(scene.joints) for scene in scenes),
+    }
     truths = [_true_movement(scene, settings) for scene in scenes]
     for views in sorted({1, 2, settings.views}):
         if views > settings.views:
             continue
-        found = [_found_movement(sequence.poses(views), settings) for sequence in sequences]
+        movements = [_found_movement(sequence.poses(views), settings) for sequence in sequences]
         errors: dict[str, dict[str, list[float]]] = {}
-        for scene, truth, own in zip(scenes, truths, found, strict=True):
-            for quantity, values in _errors(truth, own).items():
+        for scene, truth, found in zip(scenes, truths, movements, strict=True):
+            for quantity, values in _errors(truth, found).items():
                 for kind in ("all", scene.kind):
                     errors.setdefault(kind, {}).setdefault(quantity, []).extend(values)
         rows = {kind: {name: _summary(values) for name, values in by.items()} for kind, by in errors.items()}
@@ -149,7 +134,7 @@ def _true_movement(scene: Scene, settings: AnalysisEvaluation) -> Movement:
     exact = movement(steady_joints(line, 0.0, 0.0))
     placed = []
     for swing in scene.swings:
-        later = [each.toe_off_s for each in scene.swings if each.side == swing.side]
+        later = [other.toe_off_s for other in scene.swings if other.side == swing.side]
         next_s = min((at for at in later if at > swing.heel_strike_s), default=np.inf)
         placed.append(dataclasses.replace(swing, place=place_after(exact.steady, swing, next_s)))
     return dataclasses.replace(exact, swings=placed, strides=strides(placed))
@@ -159,18 +144,18 @@ def _errors(truth: Movement, found: Movement) -> dict[str, list[float]]:
     """Errors of every quantity: found less true. Of events in seconds; what was missed is NaN."""
     errors: dict[str, list[float]] = {}
     for swing in truth.swings:
-        own = _nearest(swing, found.swings)
+        nearest = _nearest(swing, found.swings)
         for event in _EVENTS:
-            value = getattr(own, f"{event}_s") - getattr(swing, f"{event}_s") if own else float("nan")
+            value = getattr(nearest, f"{event}_s") - getattr(swing, f"{event}_s") if nearest else float("nan")
             errors.setdefault(event, []).append(value)
     for stride in truth.strides:
-        same = next((each for each in found.strides if _same(each, stride)), None)
+        same = next((other for other in found.strides if _same(other, stride)), None)
         for name, value in stride.values.items():
             if np.isfinite(value):
                 errors.setdefault(name, []).append(same.values[name] - value if same else float("nan"))
     for transfer in truth.transfers:
-        near = [each for each in found.transfers if each.kind == transfer.kind
-                and each.start_s < transfer.end_s and transfer.start_s < each.end_s]  # fmt: skip
+        near = [other for other in found.transfers if other.kind == transfer.kind
+                and other.start_s < transfer.end_s and transfer.start_s < other.end_s]  # fmt: skip
         errors.setdefault(transfer.kind, []).append(near[0].seconds - transfer.seconds if near else float("nan"))
     for column, true in truth.angles.items():
         name = column.removesuffix("_left").removesuffix("_right")
@@ -193,8 +178,8 @@ def _at_times(
 
 
 def _nearest(swing: Swing, among: Sequence[Swing]) -> Swing | None:
-    near = [each for each in among if each.side == swing.side]
-    best = min(near, key=lambda each: abs(each.heel_strike_s - swing.heel_strike_s), default=None)
+    near = [other for other in among if other.side == swing.side]
+    best = min(near, key=lambda other: abs(other.heel_strike_s - swing.heel_strike_s), default=None)
     return best if best and abs(best.heel_strike_s - swing.heel_strike_s) < _NEAR_S else None
 
 

@@ -69,8 +69,8 @@ class EstimateStore:
             InputError: when it holds estimates made with other settings.
         """
         self._folder = folder
-        path, text = folder / _SETTINGS, json.dumps(settings, indent=1, default=str) + "\n"
-        if path.exists() and read_text(path) != text:
+        path, text = folder / _SETTINGS, json.dumps(settings, indent=1, default=str, sort_keys=True) + "\n"
+        if path.exists() and _sorted(read_text(path)) != text:
             raise InputError(f"{path} is of other settings: choose another --out, or delete that folder")
         write_file(path, text)
 
@@ -96,3 +96,11 @@ class EstimateStore:
 
     def _path(self, index: int) -> Path:
         return self._folder / f"{index:04d}.npz"
+
+
+def _sorted(text: str) -> str:
+    """A file of settings with its keys in order, as they are written now; itself where it is none."""
+    try:
+        return json.dumps(json.loads(text), indent=1, sort_keys=True) + "\n"
+    except ValueError:
+        return text

@@ -20,13 +20,12 @@ from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
-from depthmocap.core.network_devices import NetworkSettings, networks_on
-from depthmocap.core.output import check_outputs
-from depthmocap.core.settings import check_seed, plain_settings
+from depthmocap.core.network_devices import networks_on
+from depthmocap.core.settings import plain_settings
 from depthmocap.errors import InputError
 from depthmocap.evaluate.estimated_sequences import EstimateStore, SequenceEstimates, estimate_sequence
-from depthmocap.evaluate.evaluation_report import JsonOutput
 from depthmocap.evaluate.moving_people import FPS, PostureSequence, clip_motions, moving_frames, prior_motions
+from depthmocap.evaluate.sequence_settings import SequenceSettings
 from depthmocap.evaluate.temporal_metrics import TemporalMetrics, temporal_metrics
 from depthmocap.frames import Pose
 from depthmocap.pose.estimators import load_estimator
@@ -34,7 +33,6 @@ from depthmocap.report.page import ReportSection, ReportTable, write_report
 from depthmocap.smooth.filters import AUTO, BONES_CHOICES, FILTERS, load_filter
 from depthmocap.smooth.pose_filter import PoseFilter
 from depthmocap.smooth.swap_guard import LIMBS, limb_joints
-from depthmocap.synth.sample import Split
 from depthmocap.synth.sensing.sensors import find_sensor
 
 #: Settings that the estimates do not depend on, or that only tell how many there are.
@@ -54,53 +52,38 @@ _COLUMNS = (
 
 
 @dataclasses.dataclass(frozen=True)
-class MotionEvaluation(NetworkSettings, JsonOutput):
+class MotionEvaluation(SequenceSettings):
     """Joints over time on generated sequences: a person moves, cameras with errors look, the network labels, joints
-    are estimated frame by frame, and every filter is applied to them.
+    are estimated frame by frame, and every filter is applied to them, those of one view and those of all views.
 
     Attributes:
-        out: folder for the estimates, which are made once: run again, only the filters are.
-        postures: folder of motion capture clips; without it motion is from posture to posture of the packaged prior.
-        split: of the clips.
-        sequences: so many, each of another clip and another person.
         seconds: of motion a sequence, before it comes to rest.
-        views: cameras; the numbers are of 1, and of all of them.
-        sensors: each camera is one of these.
         sides_wrong: a fault: share (0–1) of frames whose legs or arms or both are given the wrong sides.
         out_of_step_ms: a fault: every camera looks up to so long before or after the others; the sequences are measured
             once more like this, and the growth of the error is told.
         lag_frames: that the fixed-lag smoother waits for.
-        weights: a classifier.onnx of your own.
-        estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
         report: file for a page with the tables (.html).
     """
 
-    out: Path
-    postures: Path | None = None
-    split: Split = "test"
-    sequences: int = 8
     seconds: float = 3.0
-    views: int = 3
-    sensors: tuple[str, ...] = ("kinect2", "azure-nfov-binned")
-    seed: int = 0
     sides_wrong: float = 0.0
     out_of_step_ms: float = 0.0
     lag_frames: int = 4
-    weights: Path | None = None
-    estimator: str = "votes"
     report: Path | None = None
 
     def __post_init__(self) -> None:
-        check_seed(self.seed)
-        check_outputs({"--json": self.json, "--report": self.report}, {"what --weights names": self.weights})
-        if min(self.sequences, self.views) < 1 or not 1 <= self.seconds <= 60 or not self.sensors:
-            raise InputError("--sequences, --views and --sensors take at least 1, --seconds 1 to 60")
+        super().__post_init__()
+        if not 1 <= self.seconds <= 60:
+            raise InputError(f"--seconds takes 1 to 60, got {self.seconds:g}")
         if not 0 <= self.sides_wrong < 1:
             raise InputError(f"--sides-wrong must be at least 0 and below 1, got {self.sides_wrong}")
         if not 0 <= self.out_of_step_ms <= 1e3 / FPS or (self.out_of_step_ms and self.views < 2):
             raise InputError(
                 f"--out-of-step-ms takes 0 to {1e3 / FPS:.0f}, a frame, of 2 or more --views; got {self.out_of_step_ms}"
             )
+
+    def outputs(self) -> dict[str, Path | None]:
+        return super().outputs() | {"--report": self.report}
 
 
 @locks_outputs(folder="out", files=("json", "report"))

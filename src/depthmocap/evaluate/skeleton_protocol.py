@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,10 +15,8 @@ from rich.table import Table
 
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
-from depthmocap.core.network_devices import NetworkSettings
 from depthmocap.core.settings import plain_settings
 from depthmocap.errors import InputError
-from depthmocap.evaluate.evaluation_report import JsonOutput
 from depthmocap.evaluate.motion_protocol import (
     MotionEvaluation,
     apply_filter,
@@ -28,6 +25,7 @@ from depthmocap.evaluate.motion_protocol import (
     sequence_rng,
 )
 from depthmocap.evaluate.moving_people import FPS, moving_person
+from depthmocap.evaluate.sequence_settings import SequenceSettings
 from depthmocap.evaluate.skeleton_metrics import SkeletonTrack, skeleton_metrics
 from depthmocap.exporting.body_motion import solve_body
 from depthmocap.exporting.timeline import LEAST_CONFIDENCE, Timeline, y_up_from
@@ -35,9 +33,7 @@ from depthmocap.frames import Pose
 from depthmocap.smooth.filters import AUTO, FilterName, load_filter
 from depthmocap.streaming.running_skeleton import RunningSkeleton
 from depthmocap.synth.motion.true_rotations import true_motion
-from depthmocap.synth.sample import Split
 
-_SHARED = ("out", "postures", "split", "sequences", "seconds", "views", "sensors", "seed", "weights", "estimator")
 #: Rows of the table: key, words, digits, factor.
 _ROWS = (
     ("limb_swing_deg", "limbs, swing °", 1, 1),
@@ -66,36 +62,21 @@ _ROWS = (
 
 
 @dataclasses.dataclass(frozen=True)
-class SkeletonEvaluation(NetworkSettings, JsonOutput):
+class SkeletonEvaluation(SequenceSettings):
     """The skeleton of constant bones on generated sequences, as files have it and as it is made live: of the true
-    joints, and of joints that ``evaluate motion`` estimates, behind the filter.
+    joints, and of joints that ``evaluate motion`` estimates, behind the filter. The folder of its estimates with the
+    same settings serves.
 
     Attributes:
-        out: folder of the estimates, which are made once; that of ``evaluate motion`` with the same settings serves.
-        postures: folder of motion capture clips; without it motion is from posture to posture of the packaged prior.
-        split: of the clips.
-        sequences: so many, each of another clip and another person.
         seconds: of motion a sequence, before it comes to rest.
-        views: cameras.
-        sensors: each camera is one of these.
         smooth: the filter of the estimated joints.
-        weights: a classifier.onnx of your own.
-        estimator: of the joints: votes, ridge (the paper's), or a file that ``train pose`` wrote.
     """
 
-    out: Path
-    postures: Path | None = None
-    split: Split = "test"
-    sequences: int = 8
     seconds: float = 3.0
-    views: int = 3
-    sensors: tuple[str, ...] = ("kinect2", "azure-nfov-binned")
-    seed: int = 0
     smooth: FilterName = AUTO
-    weights: Path | None = None
-    estimator: str = "votes"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self.motion()
 
     def motion(self) -> MotionEvaluation:
@@ -104,8 +85,8 @@ class SkeletonEvaluation(NetworkSettings, JsonOutput):
         Raises:
             InputError: for settings that it does not take.
         """
-        shared = {name: getattr(self, name) for name in _SHARED}
-        return MotionEvaluation(**shared, json=self.json, device=self.device)
+        shared = {field.name: getattr(self, field.name) for field in dataclasses.fields(SequenceSettings)}
+        return MotionEvaluation(**shared, seconds=self.seconds)
 
 
 @locks_outputs(folder="out", files=("json",))
@@ -146,17 +127,17 @@ def evaluate_skeleton(settings: SkeletonEvaluation, console: Console | None = No
     for name, poses in (("true joints", exact), (views, estimated)):
         for way, solve in (("files", _offline), ("live", _live)):
             start = time.process_time()
-            found = [solve(stream) for stream in poses]
+            tracks = [solve(stream) for stream in poses]
             spent_s = time.process_time() - start
             before = [
-                SkeletonTrack(_joints(stream), track.rotations) for stream, track in zip(poses, found, strict=True)
+                SkeletonTrack(_joints(stream), track.rotations) for stream, track in zip(poses, tracks, strict=True)
             ]
             free = skeleton_metrics(before, truths, 1 / FPS)
-            row = skeleton_metrics(found, truths, 1 / FPS)
+            row = skeleton_metrics(tracks, truths, 1 / FPS)
             row |= {f"free_{key}": free[key] for key in ("joint_error_cm", "foot_skate_mm", "knee_rms_deg")}
             row["us_per_frame"] = 1e6 * spent_s / numbers["frames"]
-            each = [skeleton_metrics([f], [t], 1 / FPS) for f, t in zip(found, truths, strict=True)]
-            numbers[f"{name}, {way}"] = row | {"sequences": each}
+            of_each = [skeleton_metrics([track], [truth], 1 / FPS) for track, truth in zip(tracks, truths, strict=True)]
+            numbers[f"{name}, {way}"] = row | {"sequences": of_each}
     console.print(_table(numbers))
     settings.write_numbers(numbers)
     return numbers
