@@ -94,12 +94,12 @@ def named_results(settings: AnalyseSettings) -> Iterator[tuple[str, Path]]:
     taken: set[str] = set()
     for path in settings.results:
         if is_result(path):
-            found = {path.resolve().name: path}
+            folders = {path.resolve().name: path}
         else:
-            found = {"-".join(folder.relative_to(path).parts): folder for folder in _within(path)}
-        if not found:
+            folders = {"-".join(folder.relative_to(path).parts): folder for folder in _within(path)}
+        if not folders:
             raise InputError(f"{path} is no folder of results, nor has any: depthmocap run and live write them (--out)")
-        for plain, folder in found.items():
+        for plain, folder in folders.items():
             base = _NO_NAME.sub("-", plain).strip(".") or "result"
             name, number = base, 1
             while name.casefold() in taken:
@@ -136,9 +136,9 @@ def _analysed(name: str, folder: Path, settings: AnalyseSettings) -> dict[str, A
 
 def _key(name: str, result: StoredResult, settings: AnalyseSettings) -> str:
     """Changes whenever something that an analysis depends on does."""
-    own = dataclasses.asdict(settings)
-    del own["results"], own["out"]
-    parts = [SCHEMA, __version__, name, result.up, dataclasses.asdict(result.edits), own]
+    options = dataclasses.asdict(settings)
+    del options["results"], options["out"]
+    parts = [SCHEMA, __version__, name, result.up, dataclasses.asdict(result.edits), options]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
@@ -162,8 +162,8 @@ def _analyse(name: str, result: StoredResult, settings: AnalyseSettings) -> dict
         for i, picture in enumerate(pictures):
             write_file(out / f"{stem}chart-{i + 1}.png", picture)
         place = {"result": name, "take": result.name, "person": person.label}
-        own = [parameter_row(place, trial, found) for trial in parts for found in measure(moved, trial)]
-        rows += own
+        of_result = [parameter_row(place, trial, value) for trial in parts for value in measure(moved, trial)]
+        rows += of_result
         frames_per_second = 1 / moved.steady.frame_s
         if frames_per_second < _EVENT_RATE:
             problems.append(

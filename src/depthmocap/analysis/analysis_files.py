@@ -67,17 +67,17 @@ def write_events(path: Path, moved: Movement) -> None:
     rows: list[tuple[float, str, str]] = []
     for swing in moved.swings:
         rows += [(swing.toe_off_s, "toe off", swing.side), (swing.heel_strike_s, "heel strike", swing.side)]
-    for each in moved.transfers:
-        name = each.kind.replace("_", " ")
-        rows += [(each.start_s, f"{name}, start", ""), (each.end_s, f"{name}, end", "")]
+    for transfer in moved.transfers:
+        name = transfer.kind.replace("_", " ")
+        rows += [(transfer.start_s, f"{name}, start", ""), (transfer.end_s, f"{name}, end", "")]
     write_table(path, ("time_s", "event", "side"), sorted(rows))
 
 
 def write_strides(path: Path, moved: Movement) -> None:
     """Write every stride with its numbers."""
     rows = [
-        (each.side, each.start_s, each.end_s, *(each.values[name] for name in STRIDE_QUANTITIES))
-        for each in moved.strides
+        (stride.side, stride.start_s, stride.end_s, *(stride.values[name] for name in STRIDE_QUANTITIES))
+        for stride in moved.strides
     ]
     write_table(path, ("side", "start_s", "end_s", *STRIDE_QUANTITIES), rows)
 

@@ -76,15 +76,15 @@ def _of_a_person(
 ) -> ReportSection:
     tables = []
     for trial in document["trials"]:
-        own = [row for row in rows if row["trial"] == trial]
+        of_trial = [row for row in rows if row["trial"] == trial]
         where = "" if trial == "all" else f"{trial}. "
-        if walking := _walking(own):
+        if walking := _walking(of_trial):
             header = ("walking", "left", "right", "both", "± strides", "strides", "error")
             caption = f"{where}Means of strides, and the standard deviation between them."
             tables.append(ReportTable(header, walking, caption))
-        if transfers := [_transfer(row) for row in own if row["quantity"] in TRANSFERS]:
+        if transfers := [_transfer(row) for row in of_trial if row["quantity"] in TRANSFERS]:
             tables.append(ReportTable(("transfer", "mean", "shortest", "longest", "times", "error"), transfers, where))
-        if angles := _angles(own):
+        if angles := _angles(of_trial):
             header = ("angle (°)", "side", "smallest", "largest", "range", "error")
             tables.append(
                 ReportTable(

@@ -41,8 +41,8 @@ class Swing:
 
 def swings(steady: SteadyJoints) -> list[Swing]:
     """Swings of both feet in the order of their heel strikes. A swing of which a part was not seen is none."""
-    found = [swing for side in SIDES for swing in _of_a_foot(steady, side)]
-    return sorted(found, key=lambda swing: swing.heel_strike_s)
+    both_feet = [swing for side in SIDES for swing in _of_a_foot(steady, side)]
+    return sorted(both_feet, key=lambda swing: swing.heel_strike_s)
 
 
 def ankle_speed(steady: SteadyJoints, side: str) -> Float[ndarray, " t"]:
@@ -78,9 +78,9 @@ def _of_a_foot(steady: SteadyJoints, side: str) -> list[Swing]:
 
 def _peaks(speed: Float[ndarray, " t"], frame_s: float) -> list[int]:
     """Peaks of swings; of two between which the ankle does not slow down, the higher."""
-    found, _ = find_peaks(speed, height=_SLOWEST_MPS, distance=max(round(_APART_S / frame_s), 1))
+    peaks, _ = find_peaks(speed, height=_SLOWEST_MPS, distance=max(round(_APART_S / frame_s), 1))
     kept: list[int] = []
-    for peak in found.tolist():
+    for peak in peaks.tolist():
         if kept and speed[kept[-1] : peak + 1].min() > _DIP * min(speed[kept[-1]], speed[peak]):
             if speed[peak] > speed[kept[-1]]:
                 kept[-1] = peak

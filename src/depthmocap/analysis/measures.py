@@ -71,9 +71,9 @@ class Movement:
 
 def movement(steady: SteadyJoints, anthropometry: Anthropometry = "mean") -> Movement:
     """Everything that is measured of a person."""
-    found = swings(steady)
+    walked = swings(steady)
     return Movement(
-        steady, joint_angles(steady), centre_of_mass(steady, anthropometry), found, strides(found), transfers(steady)
+        steady, joint_angles(steady), centre_of_mass(steady, anthropometry), walked, strides(walked), transfers(steady)
     )
 
 
@@ -97,32 +97,33 @@ def measure(moved: Movement, trial: Trial) -> list[Measure]:
 
 
 def _of_gait(moved: Movement, trial: Trial) -> Iterator[Measure]:
-    own = [stride for stride in moved.strides if trial.holds(stride.start_s, stride.end_s)]
-    if not own:
+    in_trial = [stride for stride in moved.strides if trial.holds(stride.start_s, stride.end_s)]
+    if not in_trial:
         return
     means: dict[tuple[str, str], float] = {}
-    for quantity in own[0].values:
+    for quantity in in_trial[0].values:
         for side in ("", *SIDES):
-            values = [stride.values[quantity] for stride in own if side in ("", stride.side)]
-            if (found := _statistics(quantity, side, values)) is not None:
-                means[quantity, side] = found.value
-                yield found
+            values = [stride.values[quantity] for stride in in_trial if side in ("", stride.side)]
+            if (statistic := _statistics(quantity, side, values)) is not None:
+                means[quantity, side] = statistic.value
+                yield statistic
     for quantity in SYMMETRIES:
         left, right = (means.get((quantity, side), float("nan")) for side in SIDES)
         value = asymmetry(left, right)
         if np.isfinite(value):
-            yield Measure(f"{quantity}_asymmetry", "", value, float("nan"), len(own), value, value)
+            yield Measure(f"{quantity}_asymmetry", "", value, float("nan"), len(in_trial), value, value)
     times_s, height = moved.steady.times_s, moved.mass_centre[:, 1]
-    ranges = [float(np.ptp(height[(times_s >= each.start_s) & (times_s <= each.end_s)])) for each in own]
-    if (found := _statistics("mass_centre_range", "", ranges)) is not None:
-        yield found
+    ranges = [float(np.ptp(height[(times_s >= stride.start_s) & (times_s <= stride.end_s)])) for stride in in_trial]
+    if (statistic := _statistics("mass_centre_range", "", ranges)) is not None:
+        yield statistic
 
 
 def _of_transfers(moved: Movement, trial: Trial) -> Iterator[Measure]:
-    own = [each for each in moved.transfers if trial.holds(each.start_s, each.end_s)]
+    in_trial = [transfer for transfer in moved.transfers if trial.holds(transfer.start_s, transfer.end_s)]
     for kind in ("sit_to_stand", "stand_to_sit"):
-        if (found := _statistics(kind, "", [each.seconds for each in own if each.kind == kind])) is not None:
-            yield found
+        seconds = [transfer.seconds for transfer in in_trial if transfer.kind == kind]
+        if (statistic := _statistics(kind, "", seconds)) is not None:
+            yield statistic
 
 
 def _of_angles(moved: Movement, inside: ndarray) -> Iterator[Measure]:

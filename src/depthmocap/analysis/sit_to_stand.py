@@ -47,7 +47,7 @@ def transfers(steady: SteadyJoints) -> list[Transfer]:
     states = np.where(inclination > _SEATED, -1, np.where(inclination < _UPRIGHT, 1, 0))
     states[np.isnan(inclination)] = 2  # a gap parts what is before it from what is after it
     held = np.flatnonzero(states)
-    found = []
+    whole = []
     for last, first in itertools.pairwise(held.tolist()):
         if int(states[last]) * int(states[first]) != -1 or (first - last) * steady.frame_s > _LONGEST_S:
             continue
@@ -56,8 +56,8 @@ def transfers(steady: SteadyJoints) -> list[Transfer]:
         begin, end = max(last - around, 0), min(first + around + 1, len(height))
         transfer = _transfer(kind, steady.times_s[begin:end], height[begin:end], int(last - begin), int(first - begin))
         if transfer is not None:
-            found.append(transfer)
-    return found
+            whole.append(transfer)
+    return whole
 
 
 def _transfer(

@@ -42,12 +42,12 @@ def strides(swings: Sequence[Swing]) -> list[Stride]:
     The line of progression of a stride goes from where the foot stood to where it stands next, so that turning does not
     count as width. The step belongs to the foot that ends the stride: from where the other foot stands, along the line.
     """
-    found = []
+    whole = []
     for i, end in enumerate(swings):
-        own = [k for k in range(i) if swings[k].side == end.side]
-        if not own:
+        of_foot = [k for k in range(i) if swings[k].side == end.side]
+        if not of_foot:
             continue
-        first = own[-1]
+        first = of_foot[-1]
         start, between = swings[first], swings[first + 1 : i]
         duration_s = end.heel_strike_s - start.heel_strike_s
         if len(between) != 1 or duration_s > _LONGEST_STRIDE_S or not start.heel_strike_s < end.toe_off_s:
@@ -73,8 +73,8 @@ def strides(swings: Sequence[Swing]) -> list[Stride]:
             # A negative one is a flight: somebody who runs is never on both feet.
             "double_support": 100 * sum(supports) / duration_s if min(supports) > 0 else float("nan"),
         }
-        found.append(Stride(end.side, start.heel_strike_s, end.heel_strike_s, values))
-    return found
+        whole.append(Stride(end.side, start.heel_strike_s, end.heel_strike_s, values))
+    return whole
 
 
 def asymmetry(left: float, right: float) -> float:

@@ -86,8 +86,8 @@ class NetworkDevices:
         if self.device in ("auto", "cpu") and not self.notes and set(self.running.values()) <= {"cpu"}:
             return []
         devices = dict.fromkeys(self.running.values())
-        of_each = [", ".join(n for n, device in self.running.items() if device == each) for each in devices]
-        ran = "; ".join(f"{names} on {each}" for names, each in zip(of_each, devices, strict=True))
+        of_each = [", ".join(n for n, device in self.running.items() if device == running) for running in devices]
+        ran = "; ".join(f"{names} on {running}" for names, running in zip(of_each, devices, strict=True))
         return [f"networks run: {ran}", *dict.fromkeys(self.notes)]
 
 
@@ -146,7 +146,7 @@ def open_session(name: str, network: bytes) -> onnxruntime.InferenceSession:
 def _fastest(name: str, network: bytes, session: onnxruntime.InferenceSession) -> tuple[str, list[str]]:
     """The device on which a network is fastest, ``session`` is its on the CPU, and why others are not used."""
     available = _available()
-    candidates = [each for each, it in ACCELERATORS.items() if it.by_itself and it.provider in available]
+    candidates = [device for device, it in ACCELERATORS.items() if it.by_itself and it.provider in available]
     device, notes = "cpu", []
     best_s = _seconds(session) if candidates else 0.0
     for candidate in candidates:
@@ -183,7 +183,7 @@ def _check_available(device: str) -> None:
         return
     if device == "coreml":
         raise InputError("--device coreml is of ONNX Runtime for macOS, which this is not")
-    packages = ["onnxruntime", *(each.package for each in ACCELERATORS.values())]
+    packages = ["onnxruntime", *(accelerator.package for accelerator in ACCELERATORS.values())]
     installed = [name for name in dict.fromkeys(packages) if _is_installed(name)] or ["onnxruntime"]
     raise InputError(
         f"--device {device} needs another package of ONNX Runtime: pip uninstall -y {' '.join(installed)}, then "

@@ -135,7 +135,7 @@ def finish_evaluation(
     Raises:
         InputError: when a file cannot be written.
     """
-    results = {name: {"about": about(settings), **own} for name, own in numbers.items()}
+    results = {name: {"about": about(settings), **values} for name, values in numbers.items()}
     write_outputs(settings, title, results)
     print_results(shown or title, results, console)
     return results

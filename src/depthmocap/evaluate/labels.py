@@ -204,10 +204,10 @@ def _write(out: Path, data: str, quality: LabelQuality, numbers: dict[str, Any],
     grid = label_grid(shown)
     _write_png(out / "examples.png", grid)
     swaps = [
-        (part, each["shown"], each["swapped"], 1000 * each["swapped"] / max(each["shown"], 1))
-        for part, each in numbers["swaps"].items()
+        (part, swap["shown"], swap["swapped"], 1000 * swap["swapped"] / max(swap["shown"], 1))
+        for part, swap in numbers["swaps"].items()
     ]
-    borders = [(each["pixels_from_a_border"], 100 * each["share"], 100 * each["right"]) for each in numbers["borders"]]
+    borders = [(band["pixels_from_a_border"], 100 * band["share"], 100 * band["right"]) for band in numbers["borders"]]
     sections = [
         ReportSection(
             "Numbers",

@@ -57,7 +57,7 @@ class SkeletonTrack:
 
 
 def skeleton_metrics(
-    found: Sequence[SkeletonTrack], truths: Sequence[SkeletonTrack], period_s: float
+    tracks: Sequence[SkeletonTrack], truths: Sequence[SkeletonTrack], period_s: float
 ) -> dict[str, float]:
     """Numbers over sequences one frame period (s) apart; means are over all frames and bones together.
 
@@ -67,10 +67,10 @@ def skeleton_metrics(
     truly swings, those in which it hardly moves), ``length_variation_mm`` (range of a bone's length in a sequence, the
     largest), ``knee_rms_deg`` and ``elbow_rms_deg`` of flexion. NaN where there is nothing to measure.
     """
-    pairs = list(zip(found, truths, strict=True))
+    pairs = list(zip(tracks, truths, strict=True))
     swing, twist = (
-        np.concatenate(each)
-        for each in zip(*(limb_errors_deg(f.rotations, t.rotations) for f, t in pairs), strict=True)
+        np.concatenate(errors)
+        for errors in zip(*(limb_errors_deg(f.rotations, t.rotations) for f, t in pairs), strict=True)
     )
     whole = np.concatenate([angles_deg(f.rotations, t.rotations) for f, t in pairs])
     numbers = {"limb_swing_deg": _mean(swing), "limb_twist_deg": _mean(twist)}
@@ -94,12 +94,12 @@ def skeleton_metrics(
 
 
 def limb_errors_deg(
-    found: Float[ndarray, "t 18 3 3"], truth: Float[ndarray, "t 18 3 3"]
+    estimate: Float[ndarray, "t 18 3 3"], truth: Float[ndarray, "t 18 3 3"]
 ) -> tuple[Float[ndarray, "t 8"], Float[ndarray, "t 8"]]:
     """Of upper arms, forearms, thighs and shins: the angle between directions, and that about the bone (degrees)."""
-    found, truth = found[:, _LIMBS], truth[:, _LIMBS]
-    cosine = np.einsum("tbij,bj,tbik,bk->tb", found, _AXES, truth, _AXES)
-    off = np.swapaxes(truth, -1, -2) @ found
+    estimate, truth = estimate[:, _LIMBS], truth[:, _LIMBS]
+    cosine = np.einsum("tbij,bj,tbik,bk->tb", estimate, _AXES, truth, _AXES)
+    off = np.swapaxes(truth, -1, -2) @ estimate
     turns = np.stack(
         [off[..., 2, 1] - off[..., 1, 2], off[..., 0, 2] - off[..., 2, 0], off[..., 1, 0] - off[..., 0, 1]], -1
     )
@@ -110,9 +110,9 @@ def limb_errors_deg(
     return np.rad2deg(np.arccos(np.clip(cosine, -1, 1))), np.rad2deg(twist)
 
 
-def angles_deg(found: Float[ndarray, "t 18 3 3"], truth: Float[ndarray, "t 18 3 3"]) -> Float[ndarray, "t 18"]:
+def angles_deg(estimate: Float[ndarray, "t 18 3 3"], truth: Float[ndarray, "t 18 3 3"]) -> Float[ndarray, "t 18"]:
     """Whole angles between rotations (degrees)."""
-    trace = np.einsum("tbij,tbij->tb", found, truth)
+    trace = np.einsum("tbij,tbij->tb", estimate, truth)
     return np.rad2deg(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
 
 
@@ -134,10 +134,10 @@ def flexions_deg(joints: Float[ndarray, "t 18 3"], limb: tuple[str, str, str]) -
 
 
 def _ankle_steps(
-    found: Float[ndarray, "t 18 3"], truth: Float[ndarray, "t 18 3"], period_s: float
+    estimate: Float[ndarray, "t 18 3"], truth: Float[ndarray, "t 18 3"], period_s: float
 ) -> tuple[Float[ndarray, "u 2"], Bool[ndarray, "u 2"], Bool[ndarray, "u 2"]]:
     """Ways of ankles from frame to frame (m); where they truly stand; where they truly swing."""
-    step, true_step = (np.linalg.norm(np.diff(joints[:, _FEET], axis=0), axis=-1) for joints in (found, truth))
+    step, true_step = (np.linalg.norm(np.diff(joints[:, _FEET], axis=0), axis=-1) for joints in (estimate, truth))
     known = np.isfinite(step)
     return step, known & (true_step < REST_MPS * period_s), known & (true_step > SWING_MPS * period_s)
 

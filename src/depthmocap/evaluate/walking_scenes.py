@@ -75,12 +75,12 @@ def made_scenes(count: int, rng: np.random.Generator) -> Iterator[Scene]:
     """So many of each kind of motion that is made by rule."""
     for i in range(count):
         for kind in ("walking", "turning", "seat"):
-            own = rng.spawn(1)[0]
-            dressed = random_dressed_body(own, "open")
+            person_rng = rng.spawn(1)[0]
+            dressed = random_dressed_body(person_rng, "open")
             if kind == "seat":
-                motion = _seat(dressed, own)
+                motion = _seat(dressed, person_rng)
             else:
-                speed = own.uniform(0.7, 1.3)
+                speed = person_rng.uniform(0.7, 1.3)
                 stops = [Stop(0.0, 1.9), Stop(0.0, -1.9)]
                 if kind == "turning":
                     stops = [Stop(-1.1, 1.0), Stop(-1.0, -1.0), Stop(1.0, -1.1), Stop(1.1, 1.0)]
@@ -100,8 +100,8 @@ def clip_scenes(folder: Path, split: Split, count: int, rng: np.random.Generator
     names = _walks(folder, split)
     order = rng.permutation(len(names))[:count]
     for i in sorted(order.tolist()):
-        own = rng.spawn(1)[0]
-        dressed = random_dressed_body(own, "open")
+        person_rng = rng.spawn(1)[0]
+        dressed = random_dressed_body(person_rng, "open")
         motion = _clip(folder / names[i], dressed)
         if motion is not None:
             yield _scene(f"clip {Path(names[i]).stem}", "clip", dressed, motion)
@@ -181,26 +181,27 @@ def _scene(name: str, kind: str, dressed: DressedBody, motion: Motion) -> Scene:
     for person in pose_sequence(dressed, motion):
         joints.append(person.joints)
         points.append({side: person.vertices[list(soles[side])].astype(np.float64) for side in soles})
-    found = [
+    scene_swings = [
         swing
         for side in soles
-        for swing in true_swings(np.stack([each[side] for each in points]), side)
+        for swing in true_swings(np.stack([of_frame[side] for of_frame in points]), side)
     ]  # fmt: skip
-    return Scene(name, kind, dressed, motion, np.stack(joints), sorted(found, key=lambda swing: swing.heel_strike_s))
+    scene_swings.sort(key=lambda swing: swing.heel_strike_s)
+    return Scene(name, kind, dressed, motion, np.stack(joints), scene_swings)
 
 
 def true_swings(points: Float[ndarray, "t 2 3"], side: str) -> list[Swing]:
     """Swings of a foot by its heel and toe: from when both have gone until one of them has come to rest."""
     speed = np.linalg.norm(np.gradient(points, 1 / FPS, axis=0), axis=-1).min(1)
-    found, gone_s = [], None
+    foot_swings, gone_s = [], None
     for i, (before, after) in enumerate(itertools.pairwise(speed.tolist())):
         if gone_s is None and before < GONE_MPS <= after:
             gone_s = (i + (GONE_MPS - before) / (after - before)) / FPS
         if after < RESTS_MPS <= before and gone_s is not None:
             rests_s = (i + (before - RESTS_MPS) / (before - after)) / FPS
-            found.append(Swing(side, gone_s, rests_s, np.full(2, np.nan)))
+            foot_swings.append(Swing(side, gone_s, rests_s, np.full(2, np.nan)))
             gone_s = None
-    return found
+    return foot_swings
 
 
 def _sole_points() -> dict[str, tuple[int, int]]:

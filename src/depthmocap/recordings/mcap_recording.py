@@ -249,15 +249,15 @@ class McapRecording(Recording):
                 f"{calibration.distortion.size} numbers: expected plumb_bob with 5"
             )
         where, matrix = f"{self.path}: camera {name!r}", calibration.matrix
-        told = images.channel.metadata if images else {}
+        metadata = images.channel.metadata if images else {}
         k1, k2, p1, p2, k3 = calibration.distortion.tolist() or [0.0] * 5
         camera = DepthCamera(
             name, calibration.width, calibration.height, float(matrix[0, 0]), float(matrix[1, 1]),
             float(matrix[0, 2]), float(matrix[1, 2]), pose, (k1, k2, p1, p2, k3),
-            number_from_text(told.get("depth_unit_m", "0.001"), f"{where}: depth_unit_m"),
-            number_from_text(told.get("time_offset_s", "0"), f"{where}: time_offset_s"),
-            number_from_text(told.get("depth_factor", "1"), f"{where}: depth_factor"),
-            told.get("mirrored") == "true",
+            number_from_text(metadata.get("depth_unit_m", "0.001"), f"{where}: depth_unit_m"),
+            number_from_text(metadata.get("time_offset_s", "0"), f"{where}: time_offset_s"),
+            number_from_text(metadata.get("depth_factor", "1"), f"{where}: depth_factor"),
+            metadata.get("mirrored") == "true",
         )  # fmt: skip
         check_camera(camera, where)
         return camera

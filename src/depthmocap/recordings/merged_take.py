@@ -87,10 +87,10 @@ def write_take(
     def read(progress: Progress) -> Iterator[tuple[int, str, UInt16[ndarray, "_ _"]]]:
         nonlocal frames
         task = progress.add_task("writing", total=total)
-        for stamp, name, index, own in heapq.merge(*map(_stamps, range(len(clocks)), recordings, clocks)):
+        for stamp, name, index, stored_ns in heapq.merge(*map(_stamps, range(len(clocks)), recordings, clocks)):
             progress.advance(task)
             try:
-                raw = recordings[index].raw(name, own)
+                raw = recordings[index].raw(name, stored_ns)
             except InputError as error:
                 lost.append(str(error))
                 continue

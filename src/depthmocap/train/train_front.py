@@ -175,11 +175,11 @@ class _Run(TrainingRun[FrontNet, FrontBatch]):
                 fronts = torch.from_numpy(front_of_trunk(joints.numpy()))
                 known = fronts.isfinite().all(1)
                 odds.append(log_odds(network(x.to(self.settings.device)).cpu()[known], fronts[known]))
-        each = torch.cat(odds)
+        all_odds = torch.cat(odds)
         return {
-            "loss": float(np.mean(self._losses)), "turned": float((each < 0).float().mean()),
-            "surely_turned": float((each < -_SURE).float().mean()),
-            "nats": float(nn.functional.softplus(-each).mean()),
+            "loss": float(np.mean(self._losses)), "turned": float((all_odds < 0).float().mean()),
+            "surely_turned": float((all_odds < -_SURE).float().mean()),
+            "nats": float(nn.functional.softplus(-all_odds).mean()),
         }  # fmt: skip
 
     def export(self, windows: Sequence[LabelledWindow]) -> Path:

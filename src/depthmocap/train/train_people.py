@@ -169,15 +169,15 @@ class _Run(TrainingRun[PeopleNet, list[PeopleExample]]):
             for first in range(0, len(examples), 32):
                 x, people, offsets = _tensors(examples[first : first + 32], self.settings.device)
                 outputs = network(x)
-                found = nn.functional.pixel_shuffle(outputs[:, :4], 2)[:, 0] > 0
+                predicted = nn.functional.pixel_shuffle(outputs[:, :4], 2)[:, 0] > 0
                 shown = (people > 0) & (people != IGNORED)
-                hits += int((found & shown).sum())
-                missed += int((~found & shown).sum())
-                false += int((found & (people == 0)).sum())
+                hits += int((predicted & shown).sum())
+                missed += int((~predicted & shown).sum())
+                false += int((predicted & (people == 0)).sum())
                 has_centre = offsets[:, 0].isfinite()
                 errors.append((outputs[:, 4:] - offsets).permute(0, 2, 3, 1)[has_centre].norm(dim=-1))
                 nobody = ~shown.flatten(1).any(1)
-                empties.append((found & (people == 0)).flatten(1).float().mean(1)[nobody])
+                empties.append((predicted & (people == 0)).flatten(1).float().mean(1)[nobody])
         return {
             "loss": self._recent_losses()[0],
             "iou": hits / max(hits + missed + false, 1), "recall": hits / max(hits + missed, 1),

@@ -134,9 +134,9 @@ def train_rotations(settings: RotationTraining, console: Console | None = None) 
     return settings.out
 
 
-def _loss(found: Any, wanted: Any) -> Any:
+def _loss(estimate: Any, wanted: Any) -> Any:
     """Of tensors (n, 162): the distance of bones' matrices, about their angle (radians); not squared, for outliers."""
-    off = (found - wanted).reshape(len(found), -1, 9)
+    off = (estimate - wanted).reshape(len(estimate), -1, 9)
     distance = (off.nan_to_num() ** 2).sum(-1) / 2  # an unknown truth is no error
     return (distance + 1e-4).sqrt().mean()
 
