@@ -13,7 +13,7 @@ from depthmocap.geometry import DepthCamera, look_at
 from depthmocap.recordings.recording import Recording
 from depthmocap.synth.body.bones import mirror_posture
 from depthmocap.synth.body.mesh import BodyModel
-from depthmocap.synth.demo_scene import LEARNT_CAMERA, ROOM, demo_body, demo_frames, demo_rig, write_demo
+from depthmocap.synth.demo_scene import DEPTH_STEP, LEARNT_CAMERA, ROOM, demo_body, demo_frames, demo_rig, write_demo
 from depthmocap.synth.motion import sequence
 from depthmocap.synth.motion.perform import Motion, Step, pose_sequence
 from depthmocap.synth.motion.sequence import DEMO_SECONDS, demo_motion
@@ -194,7 +194,7 @@ def test_demo_round_trip(tmp_path: Path) -> None:
         np.testing.assert_allclose(got.true_joints, expected.true_joints, atol=1e-5)
         uvz = [view.camera.project(expected.true_joints) for view in expected.views]
         for a, b, projected in zip(got.views, expected.views, uvz, strict=True):
-            np.testing.assert_allclose(a.depth_m, b.depth_m, atol=6e-4)
+            np.testing.assert_allclose(a.depth_m, b.depth_m, atol=(DEPTH_STEP / 2 + 0.1) * a.camera.depth_unit_m)
             assert b.mask is not None and 0.02 < b.mask.mean() < 0.3
             assert projected.shape == (len(JOINTS), 3)
             u, v = projected[JOINT_INDEX["Spine1"], :2].round().astype(int)
