@@ -53,6 +53,7 @@ def said(capsys) -> str:
     return " ".join((captured.out + captured.err).split())
 
 
+@pytest.mark.slow
 def test_a_mirrored_camera_is_named_and_left_out_and_placed_where_it_is_to_be_mended(tmp_path, capsys) -> None:
     path, out = recording(tmp_path / "mirrored", picture=mirror), tmp_path / "rig.json"
     assert main(["calibrate", str(path), "--out", str(out)]) == 0
@@ -77,6 +78,7 @@ def test_a_unit_that_is_wrong_for_all_is_named_with_the_right_one(tmp_path, caps
     assert "multiply their depth by 4 (depth_factor in rig.json)" in said(capsys)  # by the rig's own distances
 
 
+@pytest.mark.slow
 def test_a_camera_in_another_unit_is_named_and_mended_on_demand(tmp_path, capsys) -> None:
     path, out = recording(tmp_path / "half", camera=unit(0.7)), tmp_path / "rig.json"
     assert main(["calibrate", str(path), "--out", str(out), "--mend"]) == 0
