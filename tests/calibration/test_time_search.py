@@ -110,6 +110,16 @@ def test_a_clock_that_jumps_is_told(by_s):
     assert step.by_s == pytest.approx(by_s, abs=0.12)
 
 
+def test_a_recording_that_stops_half_way_is_put_in_step_by_what_it_has():
+    rng = np.random.default_rng(6)
+    a = track(stand(0), np.arange(10, 34, PERIOD_S), rng, movement=moving)
+    b = track(stand(95), np.arange(10, 20, PERIOD_S), rng, movement=moving)
+    match = find_time(a, clocked(b, b.times_s + 120.5), rng)
+    assert match.told and match.fit is not None
+    assert match.fit.shift_s == pytest.approx(-120.5, abs=0.008)
+    assert match.shared_s == pytest.approx(10, abs=0.5)
+
+
 def test_steady_clocks_do_not_jump():
     rng = np.random.default_rng(5)
     times_s = np.arange(10, 36, PERIOD_S)
