@@ -146,11 +146,11 @@ def test_a_rig_that_is_set_up_in_a_browser(browser: Any, recording: Path) -> Non
         page.get_by_role("button", name="Take the rig as it is").click()
         assert until(shown.taken.is_set)
         page.get_by_role("tab", name="Cameras").click()
-        page.get_by_text("Names and modes").click()
+        page.get_by_text("Which cameras").click()
         page.get_by_role("button", name="Open them so").click()
         assert until(lambda: shown.wanted == ("azure-1=azure:1", "azure-2=azure:2"))
         assert asked - {None, ""} == {"127.0.0.1"}
         shown.clear()
-        assert page.get_by_text("Names and modes").count() == 0 or until(
-            lambda: page.get_by_text("Names and modes").count() == 0
+        assert page.get_by_text("Which cameras").count() == 0 or until(
+            lambda: page.get_by_text("Which cameras").count() == 0
         )
