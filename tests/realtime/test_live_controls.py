@@ -105,12 +105,12 @@ def test_filters_and_people_change_between_sets(capture: LiveCapture, tmp_path: 
             assert capture.pipeline.smoothing is not None and capture.pipeline.smoothing.delay_frames == 4
             assert capture.pipeline.segment is not before and capture.pipeline.segment.people == 2
             assert (controls.smoothing, controls.people) == ("fixed-lag", 2)
-        if i == 10:
+        if i == 7:
             controls.smooth("none")
-        if i == 12:
+        if i == 9:
             assert capture.pipeline.smoothing is None and len(held) == 4
             controls.stop()
-    assert [marker.text for marker in controls.markers] == ["trial 3"] and controls.poses > 12
+    assert [marker.text for marker in controls.markers] == ["trial 3"] and controls.poses > 9
     for wrong in (lambda: controls.smooth("magic"), lambda: controls.follow(0)):
         with pytest.raises(InputError):
             wrong()
