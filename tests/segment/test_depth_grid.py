@@ -71,3 +71,22 @@ def test_outputs_come_back_as_the_camera_has_its_image(turns):
     turned = camera.turned(turns)
     told = np.rot90(offsets, turns, axes=(1, 2))[:, 5, 7] @ camera.world_from_camera[:3, :3].T
     assert told == pytest.approx(outputs[4:, 5, 7] @ turned.world_from_camera[:3, :3].T, abs=1e-5)
+
+
+@pytest.mark.parametrize("turns", [0, 1, 2, 3])
+def test_the_part_around_what_is_marked_holds_it_in_steps_of_the_network(turns):
+    grid = DepthGrid(KINECT, turns)
+    marked = np.zeros(grid.samples(np.zeros((424, 512), np.float32)).shape, bool)
+    assert grid.part_around(marked, 4, 0.7) == (slice(0, 0), slice(0, 0))
+    marked[50:70, 30:50] = True
+    marked[5, 100] = True  # a single sample is noise
+    part = grid.part_around(marked, 4, 0.7)
+    assert part is not None
+    rows, columns = part
+    assert {each % GRID_STEP for each in (rows.start, rows.stop, columns.start, columns.stop)} == {0}
+    assert (rows.stop - rows.start) * (columns.stop - columns.start) < 0.3 * grid.shape[0] * grid.shape[1]
+    rim = np.ones(grid.shape, bool)
+    rim[rows.start + 4 : rows.stop - 4, columns.start + 4 : columns.stop - 4] = False
+    marked[5, 100] = False
+    assert not (np.rot90(marked, turns)[::2, ::2] & rim).any()
+    assert grid.part_around(np.ones_like(marked), 4, 0.7) is None

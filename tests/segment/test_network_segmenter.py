@@ -12,7 +12,7 @@ from depthmocap.geometry import DepthCamera, look_at
 from depthmocap.segment.depth_grid import DepthGrid
 from depthmocap.segment.load_segmenter import load_segmenter
 from depthmocap.segment.network_segmenter import NetworkSegmenter
-from depthmocap.segment.people_detector import PeopleDetector
+from depthmocap.segment.people_detector import PeopleDetector, limits_at, person_mask
 from depthmocap.segment.people_segmenter import PeopleSegmenter, PersonMasks
 
 RATE = 10
@@ -106,6 +106,24 @@ def test_who_keeps_still_is_never_learnt_as_background(dressed):
     assert [person.number for person in people] == [1]
     (person,) = people
     assert overlap(person.masks, masks[0]) > 0.75
+
+
+def test_where_the_empty_scene_is_known_the_network_looks_at_a_part_and_finds_the_same(dressed):
+    from depthmocap.synth.body.mesh import REST_POSTURE
+
+    each = camera("cam0", 0.4, 2.9)
+    frames, masks = shown(dressed, [each], REST_POSTURE, 0)
+    gone = [View(view.camera, np.where(masks[0][i], 0, view.depth_m)) for i, view in enumerate(frames.views)]
+    grid, detector = DepthGrid(each), PeopleDetector()
+    limit_m = np.where(gone[0].depth_m > 0, gone[0].depth_m - 0.05, 20.0).astype(np.float32)
+    limits_m = limits_at(grid, limit_m)
+    whole = detector(grid, frames.views[0].depth_m, limits_m)
+    part = detector(grid, frames.views[0].depth_m, limits_m, last=whole)
+    assert (part.outputs != whole.outputs).any((0,)).mean() < 0.85  # it looked at less than the picture
+    both = (person_mask(part) & person_mask(whole)).sum()
+    assert both / (person_mask(part) | person_mask(whole)).sum() > 0.95
+    nobody = detector(grid, gone[0].depth_m, limits_m, last=dataclasses.replace(whole, indices=whole.indices[:0]))
+    np.testing.assert_array_equal(nobody.outputs, whole.outputs)  # nothing changed, so nothing was looked at
 
 
 def test_a_camera_on_its_side_finds_as_much(dressed):

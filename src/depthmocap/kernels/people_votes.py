@@ -8,16 +8,18 @@ import numpy as np
 
 @numba.njit(cache=True, nogil=True)
 def lift_people(
-    samples_m, logits, offsets, rays, world_from_camera, least, farthest_m, sample_m2, indices, points, votes, areas
-):
-    """Write index, world position, vote for the centre and surface (m²) of every sample whose logit is above ``least``;
-    their number.
+    samples_m, logits, offsets, rays, world_from_camera, limit_m, least, farthest_m, sample_m2,
+    indices, points, votes, areas, before,
+):  # fmt: skip
+    """Write index, world position, vote for the centre and surface (m²) of every sample that shows a person, and
+    whether it is before the empty scene; their number.
 
     Args:
         samples_m, logits: (2h, 2w).
         offsets: (3, h, w) metres, in the camera's axes.
         rays: (2h, 2w, 2) x/z and y/z.
-        least: (2h, 2w) the logit that a sample needs.
+        limit_m: (2h, 2w) depth below which a sample is before the empty scene; 0 where that is unknown.
+        least: the logits that a sample must exceed: where the empty scene is unknown, before it, and on it.
         farthest_m: samples from this depth on (metres) are left out.
         sample_m2: surface that a sample shows at a metre (m²).
     """
@@ -25,9 +27,10 @@ def lift_people(
     r, count = world_from_camera, 0
     for i in range(rows):
         for j in range(columns):
-            if not logits[i, j] > least[i, j]:
+            z, limit = samples_m[i, j], limit_m[i, j]
+            place = 0 if not limit > 0 else 1 if z < limit else 2
+            if not logits[i, j] > least[place]:
                 continue
-            z = samples_m[i, j]
             x, y = rays[i, j, 0] * z, rays[i, j, 1] * z
             if not 0 < z < farthest_m or np.isnan(x):
                 continue
@@ -39,6 +42,7 @@ def lift_people(
                 points[count, k] = r[k, 0] * x + r[k, 1] * y + r[k, 2] * z + r[k, 3]
                 votes[count, k] = r[k, 0] * a + r[k, 1] * b + r[k, 2] * c + r[k, 3]
             areas[count] = z * z * sample_m2
+            before[count] = place == 1
             count += 1
     return count
 

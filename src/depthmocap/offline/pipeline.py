@@ -21,6 +21,7 @@ from depthmocap.core.network_devices import NetworkDevices
 from depthmocap.frames import FrameSet, Pose, View
 from depthmocap.pose.cloud import LabelledCloud, merge_views
 from depthmocap.pose.estimators import JointEstimator
+from depthmocap.pose.front_memory import FrontMemory
 from depthmocap.pose.labelled_view import LabelledView
 from depthmocap.segment.people_segmenter import PersonMasks
 from depthmocap.smooth.pose_filter import MAX_GAP_S, PoseFilter
@@ -135,11 +136,13 @@ class Pipeline:
         self._classifier, self._estimator, self.segment, self._up = classifier, estimator, segment, up
         self.smoothing, self.devices = smoothing, NetworkDevices()
         self._filters: dict[int, _Smoothed] = {}
+        self._fronts: dict[int, FrontMemory] = {}
 
     def reset(self) -> None:
         """Forget past poses and who was there; what is known of the empty scene is kept."""
         self.segment.reset()
         self._filters.clear()
+        self._fronts.clear()
         if self.smoothing is not None:
             self.smoothing.reset()
 
@@ -172,7 +175,8 @@ class Pipeline:
         clock.append(time.perf_counter())
         count = len(frames.views)
         by_person = [predictions[i * count : (i + 1) * count] for i in range(len(all_masks))]
-        clouds = [self._merge(frames, of_person) for of_person in by_person]
+        numbers: list[int | None] = [person.number for person in persons] or [None]
+        clouds = [self._merge(frames, *pair) for pair in zip(by_person, numbers, strict=True)]
         clock.append(time.perf_counter())
         raw = [Pose(frames.timestamp_ns, *self._estimator(cloud, self._up)) for cloud in clouds]
         clock.append(time.perf_counter())
@@ -191,10 +195,14 @@ class Pipeline:
             tuple(people), final,
         )  # fmt: skip
 
-    def _merge(self, frames: FrameSet, predictions: list[ViewPrediction]) -> LabelledCloud:
-        return merge_views(
-            [LabelledView(view, *prediction) for view, prediction in zip(frames.views, predictions, strict=True)]
-        )
+    def _merge(self, frames: FrameSet, predictions: list[ViewPrediction], number: int | None) -> LabelledCloud:
+        """The labelled cloud of a person; where frames follow each other, with the front that was seen before."""
+        parts = [LabelledView(view, *prediction) for view, prediction in zip(frames.views, predictions, strict=True)]
+        if self.smoothing is None or number is None:
+            return merge_views(parts)
+        now_ns = frames.timestamp_ns
+        self._fronts = {n: memory for n, memory in self._fronts.items() if memory.knows(now_ns)}
+        return merge_views(self._fronts.setdefault(number, FrontMemory())(parts, now_ns))
 
     def _gone(self, now_ns: int) -> dict[int, list[Pose]]:
         """What filters held back of people whom they forget, by number; a filter begins anew when somebody returns."""

@@ -53,10 +53,14 @@ def undo_mirrored(parts: Sequence[LabelledView]) -> list[LabelledView]:
     if not mirrored:
         return parts
     for i in min(same, mirrored, key=lambda group: sum(_sureness(parts[i]) for i in group)):
-        parts[i] = parts[i]._replace(
-            labels=_TURNED[parts[i].labels], joints=joints[i][MIRROR], front_log_odds=-parts[i].front_log_odds
-        )
+        parts[i] = turned_view(parts[i])
     return parts
+
+
+def turned_view(part: LabelledView) -> LabelledView:
+    """The view with front and back, left and right exchanged."""
+    joints = None if part.joints is None else part.joints[MIRROR]
+    return part._replace(labels=_TURNED[part.labels], joints=joints, front_log_odds=-part.front_log_odds)
 
 
 def _own_joints(part: LabelledView) -> Float[ndarray, "18 4"] | None:

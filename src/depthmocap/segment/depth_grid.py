@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from depthmocap.geometry import DepthCamera
@@ -71,6 +71,31 @@ class DepthGrid:
         turned = np.ascontiguousarray(np.rot90(samples_m, self._turns)) if self._turns else samples_m
         describe_cells(turned, CELL_FOCAL_PX, FARTHEST_M, out)
         return out
+
+    def part_around(
+        self, marked: Bool[ndarray, "rows2 columns2"], around: int, largest_share: float
+    ) -> tuple[slice, slice] | None:
+        """Rows and columns of the cells that the network sees around those of which all four samples are marked.
+
+        Args:
+            around: so many more cells on each side.
+
+        Returns:
+            Multiples of ``GRID_STEP``; empty slices where no cell is marked; None for more than this share of the grid.
+        """
+        turned = np.rot90(marked, self._turns)
+        cells = turned[::2, ::2] & turned[::2, 1::2] & turned[1::2, ::2] & turned[1::2, 1::2]
+        sides = []
+        for axis, size in ((1, self.shape[0]), (0, self.shape[1])):
+            places = np.flatnonzero(cells.any(axis))
+            if not len(places):
+                return slice(0, 0), slice(0, 0)
+            first = max(int(places[0]) - around, 0) // GRID_STEP * GRID_STEP
+            end = -(-min(int(places[-1]) + 1 + around, size) // GRID_STEP) * GRID_STEP
+            sides.append(slice(first, end))
+        rows, columns = sides
+        share = (rows.stop - rows.start) * (columns.stop - columns.start) / (self.shape[0] * self.shape[1])
+        return None if share > largest_share else (rows, columns)
 
     def to_camera(
         self, outputs: Float[ndarray, "7 rows columns"]

@@ -14,7 +14,7 @@ from numpy import ndarray
 from depthmocap.frames import FrameSet, FrameSource, View
 from depthmocap.geometry import DepthCamera, transform_points, z_up_from
 from depthmocap.kernels.people_votes import grow_people, paint_people
-from depthmocap.segment.background import FAR_M, BackgroundModel
+from depthmocap.segment.background import BackgroundModel
 from depthmocap.segment.choice import ANYBODY, Choice, Follower
 from depthmocap.segment.depth_grid import DepthGrid
 from depthmocap.segment.floor import find_floor
@@ -24,6 +24,7 @@ from depthmocap.segment.people_detector import (
     DetectedPeople,
     PeopleDetector,
     grid_of,
+    limits_at,
     person_mask,
 )
 from depthmocap.segment.people_segmenter import PersonMasks
@@ -36,6 +37,8 @@ STEP_M = 0.1
 GROW_LOGIT, GROW_M = -5.0, 0.35
 #: Somebody is certain to be a person after some sets; so many first sets of a recording are seen before it begins.
 _SETS_BEFORE = 8
+#: Where the empty scene is known, the network sees the whole picture in one of so many sets, in the others a part.
+_WHOLE_EVERY = 15
 #: So many points of somebody are looked up in all views.
 _POINTS = 80
 #: The top of a head is looked for this near to the highest sample (metres).
@@ -87,6 +90,8 @@ class NetworkSegmenter:
         self._grids: dict[str, DepthGrid] = {}
         #: By camera: the foreground limit, and the same at the samples of its grid.
         self._limits: dict[str, tuple[ndarray, ndarray]] = {}
+        #: By camera: what its last image showed, and how many of these in a row were seen in part.
+        self._last: dict[str, tuple[DetectedPeople, int]] = {}
         self._pool = ThreadPoolExecutor(max_workers=4)
         self._at_start = PersonTracker()
         self.reset()
@@ -113,6 +118,7 @@ class NetworkSegmenter:
         """Forget everybody but those who are there at a recording's start; what is known of the empty scene is kept."""
         self._tracker = copy.deepcopy(self._at_start)
         self._follower.reset()
+        self._last.clear()
 
     def __call__(self, frames: FrameSet) -> tuple[PersonMasks, ...]:
         """The people in a frame set, those selected first at the front; an empty tuple when nobody is there."""
@@ -178,10 +184,14 @@ class NetworkSegmenter:
             return self._detector(grid, depth_m)
         name = view.camera.name
         if name not in self._limits or self._limits[name][0] is not limit_m:
-            samples_m = grid.samples(limit_m)
-            self._limits[name] = limit_m, np.where(samples_m > 0, samples_m, FAR_M)
-        limits = self._limits[name][1]
-        return self._detector(grid, depth_m, limits, np.inf if name in self._known else SURE_LOGIT)
+            self._limits[name] = limit_m, limits_at(grid, limit_m)
+        last, parts = self._last.get(name, (None, 0))
+        if last is None or last.grid is not grid or parts >= _WHOLE_EVERY:
+            last, parts = None, 0
+        sure = np.inf if name in self._known else SURE_LOGIT
+        detected = self._detector(grid, depth_m, self._limits[name][1], sure, last)
+        self._last[name] = detected, parts + 1
+        return detected
 
     def _learn(self, frames: FrameSet, depths: Sequence[ndarray], detected: Sequence[DetectedPeople]) -> None:
         if self._backgrounds is None:

@@ -21,6 +21,10 @@ PACKAGED = Path(__file__).parent / "weights" / "people.onnx"
 #: Angle between samples, and the surface that one shows at a metre (m²).
 SAMPLE_RAD = 1 / (2 * CELL_FOCAL_PX)
 SAMPLE_M2 = SAMPLE_RAD**2
+#: Of a picture of which most shows the empty scene the network sees what does not, with so many cells around it,
+CONTEXT_CELLS = 24
+#: if that is at most this share of the picture.
+_LARGEST_SHARE = 0.8
 #: A sample shows a person if its logit is above this:
 PERSON_LOGIT = -1.0
 #: above this where it lies before the empty scene,
@@ -43,6 +47,7 @@ class DetectedPeople:
         areas_m2: their surface.
         before: whether they are where the scene was seen empty.
         limit_m: at each sample the depth (metres) from which on it shows the empty scene, 0 where it is unknown.
+        outputs: of the network, for the whole grid.
     """
 
     grid: DepthGrid
@@ -54,6 +59,7 @@ class DetectedPeople:
     areas_m2: Float[ndarray, " n"]
     before: Bool[ndarray, " n"]
     limit_m: Float[ndarray, "rows2 columns2"]
+    outputs: Float[ndarray, "7 rows columns"]
 
 
 class PeopleDetector:
@@ -79,34 +85,65 @@ class PeopleDetector:
         depth_m: Float[ndarray, "h w"],
         limit_m: Float[ndarray, "rows2 columns2"] | None = None,
         sure: float = SURE_LOGIT,
+        last: DetectedPeople | None = None,
     ) -> DetectedPeople:
         """The people in a depth image of the grid's camera.
 
         Args:
-            limit_m: at each sample the depth from which on it shows the empty scene, by ``grid.samples``; ``FAR_M`` or
-                more where it is unknown.
+            limit_m: at each sample the depth from which on it shows the empty scene (:func:`limits_at`), 0 where it is
+                unknown.
             sure: logit above which such samples show people all the same.
+            last: what the camera's last image showed: the network looks again where this one does not show the empty
+                scene, and where that one showed people.
         """
         samples_m = grid.samples(depth_m)
-        (outputs,) = self._session.run(None, {"cells": grid.inputs(samples_m)[None]})
-        logits, offsets = grid.to_camera(np.asarray(outputs)[0])
-        least = np.full(samples_m.shape, PERSON_LOGIT, np.float32)
-        if limit_m is not None:
-            least[limit_m < FAR_M] = BEFORE_LOGIT
-            least[samples_m >= limit_m] = sure
+        outputs = self._outputs(grid, samples_m, limit_m, last)
+        logits, offsets = grid.to_camera(outputs)
+        if limit_m is None:
+            limit_m = np.zeros_like(samples_m)
         count = int(np.count_nonzero(logits > BEFORE_LOGIT))
-        indices, areas = np.empty(count, np.int64), np.empty(count, np.float32)
+        indices, areas, before = np.empty(count, np.int64), np.empty(count, np.float32), np.empty(count, np.bool_)
         points, votes = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
         count = lift_people(
-            samples_m, logits, offsets, grid.rays, grid.camera.world_from_camera, least, FARTHEST_M, SAMPLE_M2,
-            indices, points, votes, areas,
+            samples_m, logits, offsets, grid.rays, grid.camera.world_from_camera, limit_m,
+            (PERSON_LOGIT, BEFORE_LOGIT, float(sure)), FARTHEST_M, SAMPLE_M2, indices, points, votes, areas, before,
         )  # fmt: skip
-        indices = indices[:count]
-        known_m = np.zeros_like(samples_m) if limit_m is None else np.where(limit_m < FAR_M, limit_m, np.float32(0))
-        before = samples_m.ravel()[indices] < known_m.ravel()[indices]
         return DetectedPeople(
-            grid, samples_m, logits, indices, points[:count], votes[:count], areas[:count], before, known_m
+            grid, samples_m, logits, indices[:count], points[:count], votes[:count], areas[:count], before[:count],
+            limit_m, outputs,
         )  # fmt: skip
+
+    def _outputs(
+        self,
+        grid: DepthGrid,
+        samples_m: Float[ndarray, "rows2 columns2"],
+        limit_m: Float[ndarray, "rows2 columns2"] | None,
+        last: DetectedPeople | None,
+    ) -> Float[ndarray, "7 rows columns"]:
+        """The network's outputs for the whole grid, where it need not look again those of the last image."""
+        cells, part = grid.inputs(samples_m), None
+        if last is not None and limit_m is not None:
+            empty = (samples_m <= 0) | ((samples_m >= limit_m) & (limit_m > 0))
+            changed = ~empty | person_mask(last)
+            part = grid.part_around(changed, CONTEXT_CELLS, _LARGEST_SHARE)
+        if last is None or part is None:
+            return np.asarray(self._session.run(None, {"cells": cells[None]})[0])[0]
+        outputs = last.outputs.copy()
+        rows, columns = part
+        if rows.stop > rows.start:
+            seen = np.ascontiguousarray(cells[:, rows, columns])[None]
+            outputs[:, rows, columns] = np.asarray(self._session.run(None, {"cells": seen})[0])[0]
+        return outputs
+
+
+def limits_at(grid: DepthGrid, limit_m: Float[ndarray, "h w"]) -> Float[ndarray, "rows2 columns2"]:
+    """At each sample the depth (metres) from which on it shows the empty scene, 0 where that is unknown.
+
+    Args:
+        limit_m: of every pixel (``BackgroundModel.limit_m``).
+    """
+    samples_m = grid.samples(limit_m)
+    return np.where(samples_m < FAR_M, samples_m, np.float32(0))
 
 
 def person_mask(detected: DetectedPeople) -> Bool[ndarray, "rows2 columns2"]:

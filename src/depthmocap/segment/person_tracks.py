@@ -232,7 +232,10 @@ class PersonTracker:
                 if probability is not None:
                     track.add_probability(probability(votes.points[labels == track.label]))
                 self._identify(track, now_s)
-        return np.where(np.isin(labels, [track.label for track in self.active]), labels, 0)
+        active = np.zeros(256, labels.dtype)
+        for track in self.active:
+            active[track.label] = track.label
+        return active[labels]
 
     def _end(self, votes: Votes, now_s: float) -> None:
         """End tracks that are gone, and young ones that are a part of another."""
