@@ -74,6 +74,14 @@ SKELETON_ROWS = (
     ("length_variation_mm", "range of bones' lengths, mm", 1, 1),
     ("knee_rms_deg", "knee flexion, RMS °", 1, 1),
     ("elbow_rms_deg", "elbow flexion, RMS °", 1, 1),
+    ("landmarks_head_cm", "surface landmarks: head, cm", 1, 1),
+    ("landmarks_trunk_cm", "– trunk, cm", 1, 1),
+    ("landmarks_pelvis_cm", "– pelvis, cm", 1, 1),
+    ("landmarks_arms_cm", "– elbows and wrists, cm", 1, 1),
+    ("landmarks_hands_cm", "– knuckles, cm", 1, 1),
+    ("landmarks_tips_cm", "– finger tips, cm", 1, 1),
+    ("landmarks_legs_cm", "– knees and ankles, cm", 1, 1),
+    ("landmarks_feet_cm", "– heels and toes, cm", 1, 1),
 )
 
 
@@ -83,7 +91,7 @@ def skeletons(numbers: dict[str, Any]) -> list[str]:
     columns = [name for name, row in numbers.items() if isinstance(row, dict) and "limb_swing_deg" in row]
     lines = [f"| | {' | '.join(columns)} | {columns[2]}, median of sequences |", "|---" * (len(columns) + 2) + "|"]
     for key, words, digits, factor in SKELETON_ROWS:
-        values = [numbers[name][key] for name in columns]
+        values = [numbers[name].get(key, math.nan) for name in columns]
         each = [row.get(key, math.nan) for row in numbers[columns[2]]["sequences"]]
         median = statistics.median(each) if not any(math.isnan(value) for value in each) else math.nan
         cells = ["–" if math.isnan(value) else f"{factor * value:.{digits}f}" for value in (*values, median)]

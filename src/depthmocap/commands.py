@@ -225,6 +225,14 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "train",
         ),
         Command(
+            "train landmarks",
+            "depthmocap.train.train_landmarks",
+            "LandmarkTraining",
+            "train_landmarks",
+            "learn where surface landmarks are from the lengths of bones",
+            "train",
+        ),
+        Command(
             "train front",
             "depthmocap.train.train_front",
             "FrontTraining",

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from depthmocap.body.landmarks import LANDMARKS
 from depthmocap.body.skeleton import BONES, JOINT_INDEX, JOINTS
 from depthmocap.evaluate.temporal_metrics import REST_MPS
 
@@ -44,16 +45,28 @@ _WHOLE = {
 }
 #: Groups of limb bones whose twist is told by itself.
 _TWISTED = {"upper_arm": "Shoulder", "forearm": "Elbow", "thigh": "Hip", "shin": "Knee"}
+#: Groups of surface landmarks: by the bone that they move with, without its side; finger tips by themselves.
+LANDMARK_GROUPS: dict[str, tuple[str, ...]] = {
+    "head": ("Head",),
+    "trunk": ("Spine1", "Spine2"),
+    "pelvis": ("Hip",),
+    "arms": (".Shoulder", ".Elbow"),
+    "hands": (".Hand",),
+    "legs": (".Hip", ".Knee"),
+    "feet": (".Foot",),
+    "tips": (),
+}
 _FEET = [JOINT_INDEX["LFoot"], JOINT_INDEX["RFoot"]]
 _HINGES = {"knee": ("Hip", "Knee", "Foot"), "elbow": ("Shoulder", "Elbow", "Hand")}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SkeletonTrack:
-    """Joints (m) and rotations of one sequence."""
+    """Joints (m), rotations and surface landmarks (m; None where they are not asked for) of one sequence."""
 
     joints: Float[ndarray, "t 18 3"]
     rotations: Float[ndarray, "t 18 3 3"]
+    landmarks: Float[ndarray, "t m 3"] | None = None
 
 
 def skeleton_metrics(
@@ -65,7 +78,8 @@ def skeleton_metrics(
     so for each bone; ``<group>_deg`` are whole rotation errors of trunk, head, hands and feet. ``joint_error_cm``,
     ``foot_skate_mm`` (way a frame of ankles that truly stand), ``held_in_swing`` (0–1, of frames in which an ankle
     truly swings, those in which it hardly moves), ``length_variation_mm`` (range of a bone's length in a sequence, the
-    largest), ``knee_rms_deg`` and ``elbow_rms_deg`` of flexion. NaN where there is nothing to measure.
+    largest), ``knee_rms_deg`` and ``elbow_rms_deg`` of flexion. Where both have landmarks, ``landmarks_cm`` and
+    ``landmarks_<group>_cm``: their distances, finger tips by themselves. NaN where there is nothing to measure.
     """
     pairs = list(zip(tracks, truths, strict=True))
     swing, twist = (
@@ -90,6 +104,24 @@ def skeleton_metrics(
     for name, limb in _HINGES.items():
         off = np.concatenate([flexions_deg(f.joints, limb) - flexions_deg(t.joints, limb) for f, t in pairs])
         numbers[f"{name}_rms_deg"] = float(np.sqrt(np.nanmean(off**2))) if np.isfinite(off).any() else float("nan")
+    return numbers | _landmark_errors(pairs)
+
+
+def _landmark_errors(pairs: Sequence[tuple[SkeletonTrack, SkeletonTrack]]) -> dict[str, float]:
+    apart = [
+        np.linalg.norm(found.landmarks - truth.landmarks, axis=-1)
+        for found, truth in pairs
+        if found.landmarks is not None and truth.landmarks is not None
+    ]
+    if not apart:
+        return {}
+    errors = np.concatenate(apart)
+    tips = np.array([landmark.name.endswith("Tip") for landmark in LANDMARKS])
+    bones = [f".{each.bone[1:]}" if each.bone[0] in "RL" else each.bone for each in LANDMARKS]
+    numbers = {"landmarks_cm": 100 * _mean(errors)}
+    for group, own in LANDMARK_GROUPS.items():
+        among = np.array([bone in own for bone in bones]) & ~tips if own else tips
+        numbers[f"landmarks_{group}_cm"] = 100 * _mean(errors[:, among])
     return numbers
 
 

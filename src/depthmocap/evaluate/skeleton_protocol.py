@@ -13,6 +13,7 @@ from numpy import ndarray
 from rich.console import Console
 from rich.table import Table
 
+from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
 from depthmocap.core.settings import plain_settings
@@ -26,12 +27,14 @@ from depthmocap.evaluate.motion_protocol import (
 )
 from depthmocap.evaluate.moving_people import FPS, moving_person
 from depthmocap.evaluate.sequence_settings import SequenceSettings
-from depthmocap.evaluate.skeleton_metrics import SkeletonTrack, skeleton_metrics
+from depthmocap.evaluate.skeleton_metrics import LANDMARK_GROUPS, SkeletonTrack, skeleton_metrics
 from depthmocap.exporting.body_motion import solve_body
 from depthmocap.exporting.timeline import LEAST_CONFIDENCE, Timeline, y_up_from
+from depthmocap.exporting.virtual_markers import landmark_positions
 from depthmocap.frames import Pose
 from depthmocap.smooth.filters import AUTO, FilterName, load_filter
 from depthmocap.streaming.running_skeleton import RunningSkeleton
+from depthmocap.synth.body.mesh_landmarks import posed_landmarks
 from depthmocap.synth.motion.true_rotations import true_motion
 
 #: Rows of the table: key, words, digits, factor.
@@ -57,6 +60,8 @@ _ROWS = (
     ("length_variation_mm", "bones' lengths, range mm", 1, 1),
     ("knee_rms_deg", "knee flexion, RMS °", 1, 1),
     ("elbow_rms_deg", "elbow flexion, RMS °", 1, 1),
+    ("landmarks_cm", "surface landmarks, cm", 2, 1),
+    *((f"landmarks_{group}_cm", f"– {group}", 2, 1) for group in LANDMARK_GROUPS),
     ("us_per_frame", "CPU µs a frame", 0, 1),
 )
 
@@ -107,7 +112,9 @@ def evaluate_skeleton(settings: SkeletonEvaluation, console: Console | None = No
             raise InputError(f"{settings.out} holds estimates of other motions than {postures.name}: delete it")
         dressed = moving_person(sequence_rng(motion, index))
         rotations = true_motion(dressed.body, postures.postures).rotations
-        truths.append(SkeletonTrack(sequence.truth @ y_up.T, rotations))
+        joints = sequence.truth @ y_up.T
+        landmarks = posed_landmarks(dressed.body, postures.postures) - dressed.body.rest_heads[0]
+        truths.append(SkeletonTrack(joints, rotations, landmarks @ y_up.T + joints[:, [JOINT_INDEX["Hip"]]]))
     stamps = [sequence.timestamps_ns for sequence in sequences]
     exact = [
         [Pose(int(ns), joints, np.ones(len(joints))) for ns, joints in zip(times, sequence.truth, strict=True)]
@@ -152,7 +159,7 @@ def _joints(poses: Sequence[Pose]) -> Float[ndarray, "t 18 3"]:
 
 def _offline(poses: Sequence[Pose]) -> SkeletonTrack:
     motion = solve_body(Timeline(np.arange(len(poses)) / FPS, _joints(poses), 1 / FPS))
-    return SkeletonTrack(motion.positions(), motion.world_rotations())
+    return SkeletonTrack(motion.positions(), motion.world_rotations(), landmark_positions(motion))
 
 
 def _live(poses: Sequence[Pose]) -> SkeletonTrack:
@@ -176,5 +183,6 @@ def _table(numbers: dict[str, Any]) -> Table:
     for name in names:
         table.add_column(name, justify="right")
     for key, words, digits, factor in _ROWS:
-        table.add_row(words, *(f"{factor * numbers[name][key]:.{digits}f}" for name in names))
+        values = [numbers[name].get(key) for name in names]
+        table.add_row(words, *("–" if value is None else f"{factor * value:.{digits}f}" for value in values))
     return table

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from depthmocap.body.landmarks import LANDMARK_NAMES
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.core.output import atomic_write
 from depthmocap.core.version import __version__
@@ -17,6 +18,7 @@ from depthmocap.exporting.body_motion import BodyMotion, solve_body
 from depthmocap.exporting.exported_take import ExportedTake
 from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.exporting.timeline import Y_UP_FROM_Z_UP, FrameTimes, Timeline, evenly_spaced, frame_times
+from depthmocap.exporting.virtual_markers import landmark_confidence, landmark_errors_m, landmark_positions
 from depthmocap.frames import expected_error_m
 
 #: What a C3D file's header can count.
@@ -29,8 +31,10 @@ def write_c3d(path: Path, take: ExportedTake, settings: FileSettings) -> None:
     """Write everybody of a take into one file.
 
     Points have the expected error as residual (:func:`~depthmocap.frames.expected_error_m`), 0 where they were filled,
-    and -1 where they are not known. The group ROTATION has every bone's 4×4 matrix of rotation and origin; the axes of
-    a bone are, at rest, x the subject's left, y up and z forward. Markers are events, in time from the first frame.
+    and -1 where they are not known. Surface landmarks, where they are wanted, are points after a person's joints; their
+    residual has their own error as well. The group ROTATION has every bone's 4×4 matrix of rotation and origin; the
+    axes of a bone are, at rest, x the subject's left, y up and z forward. Markers are events, in time from the first
+    frame.
 
     Raises:
         InputError: when ezc3d is not installed, the take is longer than a file can be, or it cannot be written.
@@ -51,21 +55,25 @@ def write_c3d(path: Path, take: ExportedTake, settings: FileSettings) -> None:
         _evenly_spaced_confidence(line, person.table.confidence, frames)
         for line, person in zip(lines, take.people, strict=True)
     ]
-    parts = [_points(motion, confidence) for motion, confidence in zip(motions, confidences, strict=True)]
-    points, residuals = (np.concatenate(of_people, axis=1) for of_people in zip(*parts, strict=True))
+    parts = []
+    for motion, confidence in zip(motions, confidences, strict=True):
+        parts += [_points(motion, confidence)] + [_landmarks(motion, confidence)] * settings.landmarks
+    points, residuals = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
     names = [take.name(person) for person in take.people]
-    labels = [f"{name}:{joint}" if name else joint for name in names for joint in JOINTS]
+
+    def labels(of_person: tuple[str, ...]) -> list[str]:
+        return [f"{name}:{label}" if name else label for name in names for label in of_person]
 
     file: Any = ezc3d.c3d()
     parameters = file["parameters"]
     parameters["POINT"]["RATE"]["value"] = [1 / frames.frame_s]
-    parameters["POINT"]["LABELS"]["value"] = labels
+    parameters["POINT"]["LABELS"]["value"] = labels(JOINTS + LANDMARK_NAMES * settings.landmarks)
     parameters["POINT"]["UNITS"]["value"] = ["mm"]
     for name, value in {"X_SCREEN": "+X", "Y_SCREEN": "+Z"}.items():
         file.add_parameter("POINT", name, [value])
-    file.add_parameter("ROTATION", "USED", [len(labels)])
+    file.add_parameter("ROTATION", "USED", [len(labels(JOINTS))])
     file.add_parameter("ROTATION", "RATE", [1 / frames.frame_s])
-    file.add_parameter("ROTATION", "LABELS", labels)
+    file.add_parameter("ROTATION", "LABELS", labels(JOINTS))
     file.add_parameter("MANUFACTURER", "SOFTWARE", ["depthmocap"])
     file.add_parameter("MANUFACTURER", "VERSION_LABEL", [__version__])
     file.add_parameter("DEPTHMOCAP", "START_S", [frames.start_s])
@@ -97,9 +105,24 @@ def _points(
     motion: BodyMotion, confidence: Float[ndarray, "n 18"]
 ) -> tuple[Float[ndarray, "n 18 4"], Float[ndarray, "n 18"]]:
     """Points (mm, with the 1 that C3D's readers expect) and residuals."""
-    unknown = np.asarray(np.isnan(motion.joints).any(-1))
-    points = np.concatenate([motion.joints @ Y_UP_FROM_Z_UP * 1000, np.ones((*unknown.shape, 1))], -1)
     residuals = np.where(motion.filled, 0.0, 1000 * expected_error_m(np.nan_to_num(confidence)))
+    return _marked(motion.joints, residuals)
+
+
+def _landmarks(
+    motion: BodyMotion, confidence: Float[ndarray, "n 18"]
+) -> tuple[Float[ndarray, "n m 4"], Float[ndarray, "n m"]]:
+    """The same of surface landmarks; a filled joint tells nothing of their error, and a residual of 0 says so."""
+    errors_m = landmark_errors_m(np.nan_to_num(confidence), motion.offsets)
+    filled = landmark_confidence(1.0 - motion.filled) < 1
+    return _marked(landmark_positions(motion), np.where(filled, 0.0, 1000 * errors_m))
+
+
+def _marked(
+    points_y_up: Float[ndarray, "n m 3"], residuals: Float[ndarray, "n m"]
+) -> tuple[Float[ndarray, "n m 4"], Float[ndarray, "n m"]]:
+    unknown = np.asarray(np.isnan(points_y_up).any(-1))
+    points = np.concatenate([points_y_up @ Y_UP_FROM_Z_UP * 1000, np.ones((*unknown.shape, 1))], -1)
     points[unknown] = 0.0  # as C3D has it
     return points, np.where(unknown, _INVALID, residuals)
 

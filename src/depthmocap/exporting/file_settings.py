@@ -28,6 +28,8 @@ class FileSettings:
         least_confidence: joints below it are gaps in trc, c3d and npz, and are held in bvh, glb and usd; pose.csv
             has all.
         fill_s: gaps of a joint up to so long (s) are filled by interpolation over time.
+        landmarks: surface landmarks (crown, toes, finger tips, iliac spines, epicondyles, malleoli …) as virtual
+            markers in csv, trc, c3d, osim and mot, beside the joints; npz always has them.
     """
 
     formats: tuple[FormatName, ...] = ("trc", "bvh")
@@ -36,6 +38,7 @@ class FileSettings:
     bvh_unit: BvhUnit = "cm"
     least_confidence: float = LEAST_CONFIDENCE
     fill_s: float = 0.0
+    landmarks: bool = False
 
     def check(self) -> None:
         """

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from depthmocap.body.skeleton import JOINT_INDEX
+from depthmocap.body.landmarks import LANDMARK_NAMES
+from depthmocap.body.skeleton import JOINTS
 from depthmocap.core.output import write_file
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.exporting.body_motion import solve_body
@@ -21,11 +22,14 @@ from depthmocap.exporting.exported_take import ExportedTake
 from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.exporting.opensim_model import COORDINATES, PLACES, UNSURE, model_xml
 from depthmocap.exporting.trc import write_take_trc
+from depthmocap.exporting.virtual_markers import LandmarkModel, landmark_confidence, landmark_positions
 
 #: Weight of coordinates that markers may not show, against squared distances in metres.
 _HELD = 1e-4
 #: A marker that is missing in a frame is left out by OpenSim; a weight of 0 would make it begin anew.
 _LEAST_WEIGHT = 0.01
+#: A landmark whose own error is so large (m) counts half as much as its confidence.
+_HALF_M = 0.01
 #: How exactly each frame is solved.
 _ACCURACY = 1e-6
 
@@ -33,8 +37,9 @@ _ACCURACY = 1e-6
 def write_mot(path: Path, take: ExportedTake, settings: FileSettings) -> dict[str, Any]:
     """Write ``ik.mot``: OpenSim's inverse kinematics of the person's model (``--formats osim`` writes the same one).
 
-    The joints are markers, each weighted by its confidence in that frame. Frames without any sure joint have no row;
-    the coordinates of a limb that is not seen stay where they were.
+    The joints are markers, each weighted by its confidence in that frame; landmarks, where they are wanted, by theirs
+    and by how well a skeleton tells them. Frames without any sure joint have no row; the coordinates of a limb that is
+    not seen stay where they were.
 
     Returns:
         for export.json: how far markers are from the model (``marker_rms_cm``, ``by_marker_cm``), and the number of
@@ -50,15 +55,21 @@ def write_mot(path: Path, take: ExportedTake, settings: FileSettings) -> dict[st
     (person,) = take.people
     line = take.rows(person, settings.least_confidence)
     motion = solve_body(line, settings.fill_s)
-    seen = np.asarray(~np.isnan(motion.joints).any(-1))
-    weights = np.maximum(person.table.confidence, _LEAST_WEIGHT)
+    marker_names, points, weights = JOINTS, motion.joints, person.table.confidence
+    if settings.landmarks:
+        own = 1 / (1 + (LandmarkModel.load().errors_m(motion.offsets) / _HALF_M) ** 2)
+        marker_names += LANDMARK_NAMES
+        points = np.concatenate([points, landmark_positions(motion)], 1)
+        weights = np.concatenate([weights, landmark_confidence(weights) * own], 1)
+    seen = np.asarray(~np.isnan(points).any(-1))
+    weights = np.maximum(weights, _LEAST_WEIGHT)
     opensim.Logger.setLevelString("Error")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        (folder / "model.osim").write_text(model_xml(motion.offsets, "person"), encoding="utf-8")
+        (folder / "model.osim").write_text(model_xml(motion.offsets, "person", settings.landmarks), encoding="utf-8")
         write_take_trc(folder / "pose.trc", take, settings)
         try:
-            times_s, rows, errors, names = _solve(opensim, folder, weights, seen)
+            times_s, rows, errors, names = _solve(opensim, folder, marker_names, weights, seen)
         except RuntimeError as error:
             raise InputError(f"OpenSim's inverse kinematics failed: {str(error).splitlines()[0]}") from None
     write_file(path, _text_of(times_s, rows))
@@ -75,15 +86,19 @@ def write_mot(path: Path, take: ExportedTake, settings: FileSettings) -> dict[st
 
 
 def _solve(
-    opensim: Any, folder: Path, weights: Float[ndarray, "t 18"], seen: Bool[ndarray, "t 18"]
-) -> tuple[list[float], Float[ndarray, "n c"], Float[ndarray, "n m"], list[str]]:
+    opensim: Any,
+    folder: Path,
+    marker_names: tuple[str, ...],
+    weights: Float[ndarray, "t m"],
+    seen: Bool[ndarray, "t m"],
+) -> tuple[list[float], Float[ndarray, "n c"], Float[ndarray, "n k"], list[str]]:
     """Times, coordinates (degrees and m), and errors of markers (m, NaN where one was not seen) with their names."""
     model = opensim.Model(str(folder / "model.osim"))
     state = model.initSystem()
     frames = np.flatnonzero(seen.any(axis=1)).tolist()
     marker_weights = opensim.SetMarkerWeights()
-    for name, joint in JOINT_INDEX.items():
-        marker_weights.cloneAndAppend(opensim.MarkerWeight(name, float(weights[frames[0], joint])))
+    for number, name in enumerate(marker_names):
+        marker_weights.cloneAndAppend(opensim.MarkerWeight(name, float(weights[frames[0], number])))
     markers = opensim.MarkersReference(str(folder / "pose.trc"), marker_weights)
     held = opensim.SimTKArrayCoordinateReference()
     for name in UNSURE:
@@ -98,12 +113,12 @@ def _solve(
     state.setTime(times_s[frames[0]])
     solver.assemble(state)  # before it the solver has no markers
     names = [solver.getMarkerNameForIndex(i) for i in range(solver.getNumMarkersInUse())]
-    order = [JOINT_INDEX[name] for name in names]
+    order = [marker_names.index(name) for name in names]
     rows, errors = [], []
     for i in frames:
         state.setTime(times_s[i])
-        for name, joint in zip(names, order, strict=True):
-            solver.updateMarkerWeight(name, float(weights[i, joint]))
+        for name, number in zip(names, order, strict=True):
+            solver.updateMarkerWeight(name, float(weights[i, number]))
         solver.track(state)
         rows.append([each.getValue(state) * scale for each, scale in zip(coordinates, scales, strict=True)])
         found = opensim.SimTKArrayDouble()

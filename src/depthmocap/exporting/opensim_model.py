@@ -18,11 +18,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from depthmocap.body.landmarks import LANDMARKS
 from depthmocap.body.skeleton import JOINT_INDEX, PARENTS
 from depthmocap.core.output import write_file
 from depthmocap.exporting.body_motion import solve_body
 from depthmocap.exporting.exported_take import ExportedTake
 from depthmocap.exporting.file_settings import FileSettings
+from depthmocap.exporting.virtual_markers import LandmarkModel
 
 #: The version of OpenSim's format of models.
 _VERSION = "40600"
@@ -38,13 +40,14 @@ _X, _Y, _Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
 
 @dataclasses.dataclass(frozen=True)
 class Coordinate:
-    """An angle of a joint (degrees), or a place of the pelvis (m); a locked one is not seen and stays at 0."""
+    """An angle of a joint (degrees), or a place of the pelvis (m). One that joints alone do not show is locked at 0
+    unless landmarks are markers too."""
 
     name: str
     axis: tuple[int, int, int]
     low: int
     high: int
-    locked: bool = False
+    by_landmarks: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,11 +159,34 @@ def _markers(offsets: Float[ndarray, "18 3"], joint: ModelJoint) -> dict[str, Fl
     return found
 
 
-def model_xml(offsets: Float[ndarray, "18 3"], name: str) -> str:
+def _landmarks(offsets: Float[ndarray, "18 3"], joint: ModelJoint) -> dict[str, Float[ndarray, "3"]]:
+    """The surface landmarks of a body."""
+    found = {}
+    for landmark, offset in zip(LANDMARKS, LandmarkModel.load().offsets_m(offsets), strict=True):
+        if _body_of(landmark.bone) != joint.body:
+            continue
+        # From the body's own joint in the T pose, in OpenSim's axes.
+        place = _position(offsets, landmark.joint, joint.at) + np.array([offset[2], offset[1], -offset[0]])
+        if joint.body[:-2] in ("humerus", "radius", "hand"):  # an arm that is out to the side comes to hang
+            side = 1 if joint.body.endswith("r") else -1
+            place = np.array([place[0], -side * place[2], side * place[1]])
+        found[landmark.name] = place
+    return found
+
+
+def _body_of(bone: str) -> str:
+    """The body that moves with the bone that starts at a joint."""
+    if bone == "Head":
+        return "head"
+    return next(joint.body for joint in MODEL if bone in (joint.at, *joint.markers))
+
+
+def model_xml(offsets: Float[ndarray, "18 3"], name: str, landmarks: bool = False) -> str:
     """The model of a person as the text of an ``.osim`` file.
 
     Args:
         offsets: of each joint from its parent at rest (:func:`~depthmocap.exporting.bone_rotations.rest_offsets`).
+        landmarks: surface landmarks are markers beside the joints, and no coordinate is locked.
     """
     document = Xml.Element("OpenSimDocument", Version=_VERSION)
     model = Xml.SubElement(document, "Model", name=name)
@@ -173,8 +199,9 @@ def model_xml(offsets: Float[ndarray, "18 3"], name: str) -> str:
     markers = Xml.SubElement(Xml.SubElement(model, "MarkerSet", name="markerset"), "objects")
     for joint in MODEL:
         _body(bodies, joint, offsets)
-        _joint(joints, joint, np.zeros(3) if joint.parent == "ground" else _place(offsets, joint))
-        for marker, location in _markers(offsets, joint).items():
+        _joint(joints, joint, np.zeros(3) if joint.parent == "ground" else _place(offsets, joint), landmarks)
+        placed = _markers(offsets, joint) | (_landmarks(offsets, joint) if landmarks else {})
+        for marker, location in placed.items():
             element = Xml.SubElement(markers, "Marker", name=marker)
             _text(element, "socket_parent_frame", f"/bodyset/{joint.body}")
             _text(element, "location", _numbers(location))
@@ -191,7 +218,7 @@ def write_osim(path: Path, take: ExportedTake, settings: FileSettings) -> None:
     """
     (person,) = take.people
     motion = solve_body(take.rows(person, settings.least_confidence), settings.fill_s)
-    write_file(path, model_xml(motion.offsets, take.name(person) or "person"))
+    write_file(path, model_xml(motion.offsets, take.name(person) or "person", settings.landmarks))
 
 
 def _body(parent: Xml.Element, joint: ModelJoint, offsets: Float[ndarray, "18 3"]) -> None:
@@ -224,7 +251,7 @@ def _body(parent: Xml.Element, joint: ModelJoint, offsets: Float[ndarray, "18 3"
     _text(element, "inertia", _numbers([*moments, 0.0, 0.0, 0.0]))
 
 
-def _joint(parent: Xml.Element, joint: ModelJoint, place: Float[ndarray, "3"]) -> None:
+def _joint(parent: Xml.Element, joint: ModelJoint, place: Float[ndarray, "3"], landmarks: bool) -> None:
     element = Xml.SubElement(parent, "CustomJoint", name=f"{joint.body}_joint")
     above = "/ground" if joint.parent == "ground" else f"/bodyset/{joint.parent}"
     frames = {f"{joint.parent}_offset": (above, place), f"{joint.body}_offset": (f"/bodyset/{joint.body}", np.zeros(3))}
@@ -232,7 +259,7 @@ def _joint(parent: Xml.Element, joint: ModelJoint, place: Float[ndarray, "3"]) -
         _text(element, f"socket_{role}_frame", name)
     coordinates = Xml.SubElement(element, "coordinates")
     for each in joint.coordinates:
-        _coordinate(coordinates, each.name, np.radians([each.low, each.high]), each.locked)
+        _coordinate(coordinates, each.name, np.radians([each.low, each.high]), each.by_landmarks and not landmarks)
     free = joint.parent == "ground"
     for name in PLACES if free else ():
         _coordinate(coordinates, name, np.array([-1e3, 1e3]), False)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from depthmocap.body.landmarks import LANDMARK_NAMES
 from depthmocap.body.skeleton import JOINTS, PARENTS
 from depthmocap.core.output import atomic_write
 from depthmocap.exporting.body_motion import solve_body
@@ -13,6 +14,7 @@ from depthmocap.exporting.exported_take import ExportedTake
 from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.exporting.rotation_csv import rig_quaternions
 from depthmocap.exporting.timeline import y_up_from
+from depthmocap.exporting.virtual_markers import landmark_confidence, landmark_errors_m, landmark_positions
 from depthmocap.frames import expected_error_m
 
 
@@ -44,4 +46,8 @@ def write_npz(path: Path, take: ExportedTake, settings: FileSettings) -> None:
             up=np.array(take.up),
             frames_per_second=np.array(1 / line.frame_s),
             person=np.array(take.name(person)),
+            landmarks=landmark_positions(motion) @ y_up_from(take.up),
+            landmark_confidence=landmark_confidence(person.table.confidence),
+            landmark_expected_error=landmark_errors_m(person.table.confidence, motion.offsets),
+            landmark_names=np.array(LANDMARK_NAMES),
         )

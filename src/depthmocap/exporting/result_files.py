@@ -156,8 +156,9 @@ class PoseFiles:
         files = take.files
         if "trc" in files.formats:
             write_trc(
-                self._folder / "pose.trc", poses, take.up, files.least_confidence, take.origin_ns, fill_s=files.fill_s
-            )
+                self._folder / "pose.trc", poses, take.up, files.least_confidence, take.origin_ns,
+                fill_s=files.fill_s, landmarks=files.landmarks,
+            )  # fmt: skip
         if "bvh" not in files.formats:
             return {}
         try:

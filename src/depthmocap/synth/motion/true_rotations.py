@@ -75,9 +75,18 @@ def true_motion(
     joints = heads[:, model.joint_bones] @ _Y_UP.T
     if pelvis_y_up is not None:
         joints += (pelvis_y_up - joints[:, JOINT_INDEX["Hip"]])[:, None]
-    rotations = _Y_UP @ world[:, _POSTURE_BONE] @ _Y_UP.T @ t_pose_from_rest(body).swapaxes(-1, -2)
+    rotations = _away_from_t_pose(body, world)
     _turn_to_hinges(joints, rotations)
     return TrueMotion(joints, rotations)
+
+
+def bone_frames(body: Body, postures: Float[ndarray, "t 20 3"]) -> Float[ndarray, "t 18 3 3"]:
+    """Rotations of the mesh's bones away from the T pose, Y up; elbows are not turned to their hinges."""
+    return _away_from_t_pose(body, world_rotations(np.asarray(postures, dtype=np.float64)))
+
+
+def _away_from_t_pose(body: Body, world: Float[ndarray, "t 20 3 3"]) -> Float[ndarray, "t 18 3 3"]:
+    return _Y_UP @ world[:, _POSTURE_BONE] @ _Y_UP.T @ t_pose_from_rest(body).swapaxes(-1, -2)
 
 
 def _turn_to_hinges(joints: Float[ndarray, "t 18 3"], rotations: Float[ndarray, "t 18 3 3"]) -> None:
