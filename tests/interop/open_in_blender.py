@@ -20,6 +20,8 @@ def open_file(path: Path) -> None:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     if path.suffix == ".glb":
         bpy.ops.import_scene.gltf(filepath=str(path))
+    elif path.suffix == ".fbx":
+        bpy.ops.import_scene.fbx(filepath=str(path), anim_offset=0.0)
     elif path.suffix == ".bvh":
         bpy.ops.import_anim.bvh(filepath=str(path), update_scene_fps=True, update_scene_duration=True)
     elif path.suffix == ".usd":

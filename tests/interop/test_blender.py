@@ -60,7 +60,7 @@ def taken(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
 @pytest.mark.parametrize(
     ("skeleton", "rest"), [("depthmocap", "t"), ("unity", "t"), ("unreal", "a"), ("mixamo", "a"), ("vrm", "t")]
 )
-@pytest.mark.parametrize("name", ["glb", "usd", "bvh"])
+@pytest.mark.parametrize("name", ["glb", "usd", "bvh", "fbx"])
 def test_a_take_of_two_people_with_gaps(
     taken: tuple[Path, np.ndarray], tmp_path: Path, name: Any, skeleton: SkeletonName, rest: RestPose
 ) -> None:
@@ -92,12 +92,12 @@ def test_a_take_of_two_people_with_gaps(
 
 def test_the_demo(tmp_path: Path) -> None:
     run(RunSettings(packaged_recording(), tmp_path / "take", report=False))
-    export(ExportSettings(tmp_path / "take", tmp_path, formats=("npz", "glb", "usd", "bvh"), bvh_unit="m"))
+    export(ExportSettings(tmp_path / "take", tmp_path, formats=("npz", "glb", "usd", "bvh", "fbx"), bvh_unit="m"))
     arrays = np.load(tmp_path / "pose.npz")
     apart_m = np.linalg.norm(arrays["joints"] - arrays["skeleton_joints"], axis=-1)
     rate = float(arrays["frames_per_second"])
     frames = [0, 20, 45, 66]
-    for name in ("glb", "usd", "bvh"):
+    for name in ("glb", "usd", "bvh", "fbx"):
         looks = look(tmp_path / f"pose.{name}", rate, [frame / rate for frame in frames])
         for frame, each in zip(frames, looks, strict=True):
             (armature,) = each["armatures"].values()

@@ -43,8 +43,8 @@ class ExportSettings(FileSettings):
         result: the folder of results.
         out: another folder, for the files.
         formats: of the files: csv, trc, bvh, npz, osim (OpenSim's model) and mot (its inverse kinematics) for every
-            person; c3d, glb and usd with everybody in one file.
-        least_confidence: joints below it are gaps in csv, trc, c3d and npz, and are held in bvh, glb and usd.
+            person; c3d, glb, usd and fbx with everybody in one file.
+        least_confidence: joints below it are gaps in csv, trc, c3d and npz, and are held in bvh, glb, usd and fbx.
     """
 
     result: tyro.conf.Positional[Path]

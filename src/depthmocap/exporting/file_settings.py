@@ -11,7 +11,7 @@ from depthmocap.exporting.target_skeleton import RestPose, SkeletonName
 from depthmocap.exporting.timeline import LEAST_CONFIDENCE
 
 BvhUnit = Literal["cm", "m"]
-FormatName = Literal["csv", "trc", "bvh", "npz", "osim", "mot", "c3d", "glb", "usd"]
+FormatName = Literal["csv", "trc", "bvh", "npz", "osim", "mot", "c3d", "glb", "usd", "fbx"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -20,13 +20,13 @@ class FileSettings:
 
     Attributes:
         formats: of files besides pose.csv, which is always there: trc, bvh, npz, osim (OpenSim's model) and mot (its
-            inverse kinematics) for every person, c3d, glb and usd with everybody in one file; csv adds the bones'
-            rotations to pose.csv.
-        skeleton: names of the bones in bvh, glb and usd.
-        rest: the pose at rest in bvh, glb and usd: T, or A with arms 45 degrees down.
+            inverse kinematics) for every person, c3d, glb, usd and fbx with everybody in one file; csv adds the
+            bones' rotations to pose.csv.
+        skeleton: names of the bones in bvh, glb, usd and fbx.
+        rest: the pose at rest in bvh, glb, usd and fbx: T, or A with arms 45 degrees down.
         bvh_unit: of lengths in bvh; Blender takes numbers for metres.
-        least_confidence: joints below it are gaps in trc, c3d and npz, and are held in bvh, glb and usd; pose.csv
-            has all.
+        least_confidence: joints below it are gaps in trc, c3d and npz, and are held in bvh, glb, usd and fbx;
+            pose.csv has all.
         fill_s: gaps of a joint up to so long (s) are filled by interpolation over time.
         landmarks: surface landmarks (crown, toes, finger tips, iliac spines, epicondyles, malleoli …) as virtual
             markers in csv, trc, c3d, osim and mot, beside the joints; npz always has them.

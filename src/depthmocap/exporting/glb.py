@@ -85,6 +85,15 @@ def write_glb(path: Path, take: ExportedTake, settings: FileSettings) -> None:
     Raises:
         InputError: when the file cannot be written, or nobody has a sure joint.
     """
+    write_file(path, glb_bytes(take, settings))
+
+
+def glb_bytes(take: ExportedTake, settings: FileSettings, vanishing: bool = True) -> bytes:
+    """The file's content.
+
+    Args:
+        vanishing: whoever is not there has no size; otherwise they stand as in their first or last pose.
+    """
     people, frames = animated_people(take, settings)
     document = _Document()
     document.json["scenes"][0]["extras"] = take_notes(take, frames)
@@ -92,9 +101,9 @@ def write_glb(path: Path, take: ExportedTake, settings: FileSettings) -> None:
     animation: dict[str, Any] = {"name": "take", "channels": [], "samplers": []}
     for person in people:
         nodes = _add_person(document, person)
-        _animate(document, animation, person, nodes, times)
+        _animate(document, animation, person, nodes, times, vanishing)
     document.add("animations", animation)
-    write_file(path, document.bytes())
+    return document.bytes()
 
 
 def _add_person(document: _Document, person: AnimatedPerson) -> list[int]:
@@ -144,7 +153,12 @@ def _add_person(document: _Document, person: AnimatedPerson) -> list[int]:
 
 
 def _animate(
-    document: _Document, animation: dict[str, Any], person: AnimatedPerson, nodes: list[int], times: int
+    document: _Document,
+    animation: dict[str, Any],
+    person: AnimatedPerson,
+    nodes: list[int],
+    times: int,
+    vanishing: bool,
 ) -> None:
     def channel(node: int, path: str, values: ndarray, interpolation: str = "LINEAR") -> None:
         animation["samplers"].append(
@@ -159,5 +173,5 @@ def _animate(
     for i in range(len(skeleton.bones)):
         if np.abs(rotations[:, i, 3]).min() < 1 - 1e-9:
             channel(nodes[i], "rotation", rotations[:, i])
-    if not person.present.all():
+    if vanishing and not person.present.all():
         channel(nodes[-1], "scale", np.repeat(person.present[:, None], 3, 1).astype(np.float32), "STEP")

@@ -24,7 +24,7 @@ from depthmocap.recordings.pose_table import TIME, read_table
 #: The files that ``run`` and ``live`` write into the folder of results and into the folder of each person.
 RESULT_FILES = ("pose.csv", "pose.trc", "pose.bvh", "summary.json")
 #: The files that they write besides, where they are told to.
-MORE_FILES = ("pose.npz", "model.osim", "ik.mot", "pose.c3d", "pose.glb", "pose.usd", "export.json")
+MORE_FILES = ("pose.npz", "model.osim", "ik.mot", "pose.c3d", "pose.glb", "pose.usd", "pose.fbx", "export.json")
 #: The formats that :class:`PoseFiles` writes at its end.
 WRITTEN_FORMATS = ("trc", "bvh")
 #: The files that ``run`` also writes.

@@ -1,0 +1,34 @@
+"""Turns a GLB into FBX by Blender's module: ``python fbx_in_blender.py GLB FBX FRAMES_PER_SECOND FRAMES``.
+
+Runs as a program of its own, by a Python that has ``bpy``, and imports nothing of this package.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import Any
+
+
+def convert(glb: str, fbx: str, frames_per_second: float, frames: int) -> None:
+    """Import at the take's rate, and write every frame of every bone, in metres."""
+    bpy: Any = importlib.import_module("bpy")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.render.fps = max(1, round(frames_per_second))
+    scene.render.fps_base = scene.render.fps / frames_per_second
+    bpy.ops.import_scene.gltf(filepath=glb, disable_bone_shape=True)
+    scene.frame_start, scene.frame_end = 0, max(frames - 1, 1)
+    bpy.ops.export_scene.fbx(
+        filepath=fbx,
+        object_types={"EMPTY", "ARMATURE", "MESH"},
+        apply_scale_options="FBX_SCALE_UNITS",
+        add_leaf_bones=False,
+        bake_anim_use_nla_strips=False,
+        bake_anim_use_all_actions=False,
+        bake_anim_simplify_factor=0.0,
+    )
+
+
+if __name__ == "__main__":
+    convert(sys.argv[1], sys.argv[2], float(sys.argv[3]), int(sys.argv[4]))
