@@ -182,3 +182,21 @@ def test_the_rest_skeleton_is_learnt_and_then_stays(monkeypatch: pytest.MonkeyPa
     np.testing.assert_array_equal(learnt[63], learnt[-1])
     held = skeleton(nobody)
     assert held is not None
+
+
+def test_lengths_that_changed_while_they_were_learnt_are_noted(osc: OscReceiver) -> None:
+    notes: list[str] = []
+    stream = open_stream(f"vmc://127.0.0.1:{osc.port}")
+    stream.start(StreamSetup(EMPTY_RIG, note=notes.append))
+    for i in range(8):
+        pose = standing_pose(i * 33_000_000)
+        stream.send(sample_of(dataclasses.replace(pose, joints=pose.joints * (1.0 if i < 2 else 1.2))))
+    stream.close()
+    stream.close()
+    (note,) = notes
+    assert "bone lengths of person 1 changed" in note and " cm at once" in note
+    stream.start(StreamSetup(EMPTY_RIG, note=notes.append))
+    for i in range(4):
+        stream.send(sample_of(standing_pose(i * 33_000_000)))
+    stream.close()
+    assert len(notes) == 1

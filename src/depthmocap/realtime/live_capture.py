@@ -147,7 +147,7 @@ class LiveCapture:
         except InputError:
             self.reader.stop()
             raise
-        self._outlets.start(StreamSetup(self.rig, people, self._tell))
+        self._outlets.start(StreamSetup(self.rig, people, self._tell, self.reader.problems.add))
         return self
 
     def __exit__(self, *failure: object) -> None:

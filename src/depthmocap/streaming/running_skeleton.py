@@ -58,6 +58,8 @@ class RunningSkeleton:
         self._learnt: list[Float[ndarray, "18 3"]] = []
         self._count, self._seen_s, self._last_ns, self._given = 0, 0.0, 0, offsets is not None
         self._posed: PosedSkeleton | None = None
+        #: By how much a bone's length has changed at most, from one pose to the next, while lengths were learnt (m).
+        self.largest_change_m = 0.0
         self._offsets = np.zeros((18, 3)) if offsets is None else offsets
         self._feet = RunningFeet()
         self._past: collections.deque[tuple[int, Float[ndarray, "18 3"]]] = collections.deque(maxlen=16)
@@ -100,7 +102,11 @@ class RunningSkeleton:
         self._seen_s += min(max(step_s, 0.0), _LONGEST_S)
         self._learnt.append(joints)
         if self._count & (self._count - 1) == 0 or not self.learning:  # a power of two, or the last
+            before = np.linalg.norm(self._offsets, axis=-1)
             self._offsets = rest_offsets(np.stack(self._learnt))
+            if self._count > 1:
+                changes = np.abs(np.linalg.norm(self._offsets, axis=-1) - before)
+                self.largest_change_m = max(self.largest_change_m, float(changes.max()))
 
     def _window(self, now_ns: int, whole: Float[ndarray, "1 18 3"]) -> Float[ndarray, "w 1 18 3"]:
         """The joints now and at the times before that the network looks at, of the poses nearest to these."""

@@ -23,11 +23,13 @@ class StreamSetup:
         rig: the cameras that were opened, and the world's up axis; others may come later, and a sample's views tell.
         people: so many are followed at most.
         tell: shows a line to the user, such as the address at which a server waits.
+        note: puts a line into the capture's summary.
     """
 
     rig: Rig
     people: int = 1
     tell: Callable[[str], None] = _say_nothing
+    note: Callable[[str], None] = _say_nothing
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ protocol.vmc.info.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
 from depthmocap.streaming.osc_stream import OscSender
-from depthmocap.streaming.running_skeleton import PosedSkeleton, RunningSkeleton
+from depthmocap.streaming.running_skeleton import LEARNT_S, PosedSkeleton, RunningSkeleton
 from depthmocap.streaming.stream_protocol import Places, Sample, Stream, StreamSetup
 
 #: Where along the way from the chest to the shoulder joint Unity's Shoulder, the collar bone, begins.
@@ -52,6 +53,8 @@ _MIRROR = np.array([-1.0, 1.0, 1.0])
 #: The same of a quaternion: the axis is mirrored, and the angle turns round.
 _MIRROR_QUATERNION = np.array([1.0, -1.0, -1.0, 1.0])
 _CALIBRATED, _NORMAL_MODE = 3, 0
+#: A smaller change of a bone's length is not told (m).
+_TOLD_M = 0.005
 
 
 def unity_bones(posed: PosedSkeleton) -> Float[ndarray, "20 7"]:
@@ -70,8 +73,8 @@ def unity_bones(posed: PosedSkeleton) -> Float[ndarray, "20 7"]:
 class _Performer:
     """Whoever has one place, and the receiver of that."""
 
-    def __init__(self, host: str, port: int, up: str) -> None:
-        self._up, self._person = up, 0
+    def __init__(self, host: str, port: int, up: str, note: Callable[[str], None]) -> None:
+        self._up, self._person, self._note = up, 0, note
         self._skeleton = RunningSkeleton(up)
         self._sender = OscSender(host, port)
         self._sender.connect()
@@ -79,6 +82,7 @@ class _Performer:
     def send(self, number: int, sample: Sample, seconds: float) -> None:
         """Send the bones of a person, or for 0 that nobody is there."""
         if number not in (0, self._person):
+            self._tell_of_lengths()
             self._person, self._skeleton = number, RunningSkeleton(self._up)
         messages: list[tuple[str, list[Any]]] = []
         posed = self._skeleton(sample.people[number]) if number else None
@@ -91,8 +95,18 @@ class _Performer:
         messages.append(("/VMC/Ext/T", [seconds]))
         self._sender.send(messages)
 
+    def _tell_of_lengths(self) -> None:
+        """Lengths that an avatar saw change belong into the summary."""
+        change_m, self._skeleton.largest_change_m = self._skeleton.largest_change_m, 0.0
+        if change_m >= _TOLD_M:
+            self._note(
+                f"vmc: bone lengths of person {self._person} changed by up to {100 * change_m:.0f} cm at once while they "
+                f"were learnt (the first {LEARNT_S:g} s)"
+            )
+
     def close(self) -> None:
         """Close the socket."""
+        self._tell_of_lengths()
         self._sender.close()
 
 
@@ -118,7 +132,7 @@ class VmcStream(Stream):
         self._first_ns, self._places, self._performers = 0, Places(setup.people), []
         try:
             for port in range(self._port, last + 1):
-                self._performers.append(_Performer(self._host, port, setup.rig.up))
+                self._performers.append(_Performer(self._host, port, setup.rig.up, setup.note))
         except InputError:
             self.close()
             raise
