@@ -77,6 +77,25 @@ def _read_stored(folder: Path) -> None:
     read_result(folder)
 
 
+def _take(folder: Path) -> None:
+    """What ``run`` writes of two people, with corrections."""
+    from two_people_take import write_take
+
+    write_take(folder)
+    for path in folder.rglob("pose.*"):
+        if path.suffix != ".csv":
+            path.unlink()
+
+
+def _export(folder: Path) -> None:
+    """The files of all formats that need no other package."""
+    from depthmocap.core.console import Terminal
+    from depthmocap.exporting.export_command import ExportSettings, export
+
+    formats = ("csv", "trc", "bvh", "npz", "osim", "glb")
+    export(ExportSettings(folder, folder.parent / "out", formats=formats, landmarks=True), Terminal(quiet=True))
+
+
 def _results(folder: Path) -> None:
     numbers: dict[str, Any] = {
         "subset": "hard", "split": "test", "seed": 1, "frames": 20, "joints": list(JOINTS), "views": 3,
@@ -144,6 +163,7 @@ RESULTS: dict[str, Reader] = {
     "rig": Reader(_rig_file, _read_rig),
     "poses": Reader(_poses, _read_poses),
     "stored": Reader(_stored, _read_stored),
+    "export": Reader(_take, _export, ("pose.csv", "summary.json")),
     "animations": Reader(_animations, _read_animations),
     "compare": Reader(_results, _compare),
     "settings": Reader(_settings, _settings),
