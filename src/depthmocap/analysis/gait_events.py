@@ -1,8 +1,8 @@
 """Heel strikes and toe-offs, and the steps between them, from where ankles are.
 
-Heels and toes are not among the joints. A foot's swing is where its ankle's horizontal speed peaks; toe-off is where
-the speed has risen to half of the peak, heel strike where it has fallen to a fifth. Both shares were chosen on motion
-capture of walking, against when heel and toe themselves come to rest and go (docs/results/analysis.md).
+Heels and toes are not among the joints. A foot's swing is where its ankle's horizontal speed peaks; heel strike is
+where the speed has fallen to a fifth, a share that was chosen on motion capture of walking, against when heel and toe
+themselves come to rest (docs/results/analysis.md); toe-off is told by how the leg moves (:mod:`.toe_off`).
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from scipy.signal import find_peaks
 
 from depthmocap.analysis.joint_angles import SIDES
 from depthmocap.analysis.steady_joints import SteadyJoints, stretches
+from depthmocap.analysis.toe_off import last_crossing, toe_off_frame
 
-#: Shares of the swing's peak speed at toe-off and at heel strike.
-_TOE_OFF, _HEEL_STRIKE = 0.5, 0.22
+#: Share of the swing's peak speed at heel strike.
+_HEEL_STRIKE = 0.22
 #: Slowest peak of a swing (m/s), and the least time from one to the next (s).
 _SLOWEST_MPS, _APART_S = 0.5, 0.3
 #: Between two swings the ankle slows down to less than this share of the lower peak.
@@ -58,15 +59,14 @@ def _of_a_foot(steady: SteadyJoints, side: str) -> list[Swing]:
     ankle = steady.of(f"{SIDES[side]}Foot")[:, [0, 2]]
     spans: list[tuple[float, float]] = []
     for first, end in stretches(~np.isnan(speed)):
-        peaks = _peaks(speed[first:end], steady.frame_s)
-        for peak in peaks:
-            before = _crossing(speed[first:end], peak, -1, _TOE_OFF * speed[first + peak])
-            after = _crossing(speed[first:end], peak, 1, _HEEL_STRIKE * speed[first + peak])
-            if before is None or after is None or (after - before) * steady.frame_s > _LONGEST_SWING_S:
+        for peak in (first + peak for peak in speed_peaks(speed[first:end], steady.frame_s)):
+            before = toe_off_frame(steady, SIDES[side], speed, peak)
+            after = last_crossing(speed, peak, 1, _HEEL_STRIKE * speed[peak])
+            if before is None or after is None or not 0 < (after - before) * steady.frame_s <= _LONGEST_SWING_S:
                 continue
-            start, stop = first + int(np.floor(before)), first + int(np.ceil(after))
+            start, stop = max(int(np.floor(before)), first), int(np.ceil(after))
             if np.linalg.norm(ankle[stop] - ankle[start]) >= _SHORTEST_M:
-                at = times_s[0] + (first + np.array([before, after])) * steady.frame_s
+                at = times_s[0] + np.array([before, after]) * steady.frame_s
                 spans.append((float(at[0]), float(at[1])))
     result = []
     for i, (toe_off_s, heel_strike_s) in enumerate(spans):
@@ -76,7 +76,7 @@ def _of_a_foot(steady: SteadyJoints, side: str) -> list[Swing]:
     return result
 
 
-def _peaks(speed: Float[ndarray, " t"], frame_s: float) -> list[int]:
+def speed_peaks(speed: Float[ndarray, " t"], frame_s: float) -> list[int]:
     """Peaks of swings; of two between which the ankle does not slow down, the higher."""
     peaks, _ = find_peaks(speed, height=_SLOWEST_MPS, distance=max(round(_APART_S / frame_s), 1))
     kept: list[int] = []
@@ -87,17 +87,6 @@ def _peaks(speed: Float[ndarray, " t"], frame_s: float) -> list[int]:
         else:
             kept.append(peak)
     return kept
-
-
-def _crossing(values: Float[ndarray, " t"], start: int, step: int, level: float) -> float | None:
-    """Where values first fall below a level, from a peak on (a fraction of frames); None where they do not."""
-    i = start
-    while 0 <= i + step < len(values):
-        here, there = values[i], values[i + step]
-        if there < level <= here:
-            return i + step * (here - level) / (here - there)
-        i += step
-    return None
 
 
 def place_after(steady: SteadyJoints, swing: Swing, toe_off_s: float) -> Float[ndarray, "2"]:

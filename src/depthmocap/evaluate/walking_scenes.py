@@ -25,7 +25,7 @@ from depthmocap.errors import InputError
 from depthmocap.evaluate.moving_people import FPS
 from depthmocap.frames import FrameSet, View
 from depthmocap.geometry import look_at, rotation_between
-from depthmocap.synth.body.mesh import BodyModel, Phenotype
+from depthmocap.synth.body.mesh import Body, BodyModel, Phenotype
 from depthmocap.synth.motion.clips.bvh_clips import read_bvh_motion
 from depthmocap.synth.motion.clips.retarget import AXES, retarget
 from depthmocap.synth.motion.clips.skeletons import map_skeleton
@@ -97,17 +97,23 @@ def clip_scenes(folder: Path, split: Split, count: int, rng: np.random.Generator
     Raises:
         InputError: when the folder has no manifest, or no such clip of the split.
     """
-    names = _walks(folder, split)
+    names = walks(folder, split)
     order = rng.permutation(len(names))[:count]
     for i in sorted(order.tolist()):
         person_rng = rng.spawn(1)[0]
         dressed = random_dressed_body(person_rng, "open")
-        motion = _clip(folder / names[i], dressed)
+        motion = captured_walk(folder / names[i], dressed.body)
         if motion is not None:
+            motion = _on_the_floor(motion, dressed)
             yield _scene(f"clip {Path(names[i]).stem}", "clip", dressed, motion)
 
 
-def _walks(folder: Path, split: Split) -> list[str]:
+def walks(folder: Path, split: Split) -> list[str]:
+    """Names of the clips of a split that show ordinary walking.
+
+    Raises:
+        InputError: as :func:`clip_scenes`.
+    """
     manifest = folder / "manifest.csv"
     if not manifest.is_file():
         raise InputError(f"{folder} has no manifest.csv, which tells what clips show")
@@ -125,25 +131,27 @@ def _walks(folder: Path, split: Split) -> list[str]:
     return sorted(names)
 
 
-def _clip(path: Path, dressed: DressedBody) -> Motion | None:
-    """The motion of a clip; None of one that is short."""
+def captured_walk(path: Path, body: Body) -> Motion | None:
+    """The motion of a clip by a body, at any height; None of one that is short."""
     motion = read_bvh_motion(path, every_frame=False)
     skeleton = map_skeleton(motion)
     postures = retarget(motion, skeleton, anny_rest(), "y").postures.astype(np.float64)
     limbs = [f"{bone}.{side}" for bone in ("thigh", "shin") for side in "RL"]
     leg = sum(float(np.linalg.norm(motion.tail(skeleton.joints[limb]))) for limb in limbs) / 2
     z_up = rotation_between(AXES["y"], np.array([0.0, 0.0, 1.0]))
-    path_m = motion.root_path @ z_up.T * (leg_length(dressed) / leg)
+    path_m = motion.root_path @ z_up.T * (leg_length(body) / leg)
     far = np.linalg.norm(path_m[:, :2] - path_m[0, :2], axis=1) > _LONGEST_M
     end = int(far.argmax()) if far.any() else len(far)
     if end < _SHORTEST_S * FPS:
         return None
     postures, path_m = postures[:end], path_m[:end].copy()
     path_m[:, :2] -= (path_m[:, :2].max(0) + path_m[:, :2].min(0)) / 2
-    offsets = path_m - dressed.body.rest_heads[0]
-    made = Motion(np.arange(end) / FPS, postures, offsets)
+    return Motion(np.arange(end) / FPS, postures, path_m - body.rest_heads[0])
+
+
+def _on_the_floor(made: Motion, dressed: DressedBody) -> Motion:
     lowest = np.array([person.lowest_m for person in pose_sequence(dressed, made)])
-    return dataclasses.replace(made, offsets=offsets - [0.0, 0.0, float(np.quantile(lowest, 0.1))])
+    return dataclasses.replace(made, offsets=made.offsets - [0.0, 0.0, float(np.quantile(lowest, 0.1))])
 
 
 def _seat(dressed: DressedBody, rng: np.random.Generator) -> Motion:
@@ -176,7 +184,7 @@ def _seat(dressed: DressedBody, rng: np.random.Generator) -> Motion:
 
 
 def _scene(name: str, kind: str, dressed: DressedBody, motion: Motion) -> Scene:
-    soles = _sole_points()
+    soles = sole_points()
     joints, points = [], []
     for person in pose_sequence(dressed, motion):
         joints.append(person.joints)
@@ -204,7 +212,7 @@ def true_swings(points: Float[ndarray, "t 2 3"], side: str) -> list[Swing]:
     return foot_swings
 
 
-def _sole_points() -> dict[str, tuple[int, int]]:
+def sole_points() -> dict[str, tuple[int, int]]:
     """Vertices of heel and toe of each foot: the hindmost and the foremost near the floor."""
     model = BodyModel.load()
     vertices = model.shape(Phenotype()).rest_vertices

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.geometry.transforms import rotation_between
 from depthmocap.synth.body.bones import POSTURE_INDEX, local_rotations
-from depthmocap.synth.body.mesh import REST_POSTURE
+from depthmocap.synth.body.mesh import REST_POSTURE, Body
 from depthmocap.synth.people.garments import DressedBody
 from depthmocap.synth.people.shell import smoothstep
 from depthmocap.synth.render import PosedPerson
@@ -81,13 +81,12 @@ class Motion:
     offsets: Float[ndarray, "n 3"]
 
 
-def leg_length(dressed: DressedBody) -> float:
+def leg_length(body: Body) -> float:
     """Length of thigh and shin together (metres): the unit of lengths in scores."""
-    return sum(_leg_bones(dressed))
+    return sum(_leg_bones(body))
 
 
-def _leg_bones(dressed: DressedBody) -> tuple[float, float]:
-    body = dressed.body
+def _leg_bones(body: Body) -> tuple[float, float]:
     rest = dict(zip(JOINT_INDEX, body.rest_heads[body.model.joint_bones], strict=True))
     thigh, shin = (
         float(np.mean([np.linalg.norm(rest[f"{s}{a}"] - rest[f"{s}{b}"]) for s in _SIDES]))
@@ -111,7 +110,7 @@ def perform(
     body = dressed.body
     rest = dict(zip(JOINT_INDEX, body.rest_heads[body.model.joint_bones], strict=True))
     floor = dressed.pose(REST_POSTURE).lowest_m
-    thigh, shin = _leg_bones(dressed)
+    thigh, shin = _leg_bones(dressed.body)
     leg = thigh + shin
     channels = _channels(times_s, score)
     feet = {side: _foot_motion(side, steps, start, times_s) for side in _SIDES}

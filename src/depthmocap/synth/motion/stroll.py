@@ -45,7 +45,7 @@ def stroll(
     """
     if len(stops) < 2 or not speed_mps > 0:
         raise ValueError(f"a stroll needs two stops and a positive speed, got {len(stops)} and {speed_mps}")
-    leg = leg_length(dressed)
+    leg = leg_length(dressed.body)
     path, yaw_deg, arrivals = _path(stops)
     steps: list[Step] = []
     swings: dict[str, list[tuple[float, float]]] = {"L": [(start_s, 0.0)], "R": [(start_s, 0.0)]}
