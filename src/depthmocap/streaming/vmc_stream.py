@@ -100,8 +100,8 @@ class _Performer:
         change_m, self._skeleton.largest_change_m = self._skeleton.largest_change_m, 0.0
         if change_m >= _TOLD_M:
             self._note(
-                f"vmc: bone lengths of person {self._person} changed by up to {100 * change_m:.0f} cm at once while they "
-                f"were learnt (the first {LEARNT_S:g} s)"
+                f"vmc: bone lengths of person {self._person} changed by up to {100 * change_m:.0f} cm at once while "
+                f"they were learnt (the first {LEARNT_S:g} s)"
             )
 
     def close(self) -> None:
