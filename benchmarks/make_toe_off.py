@@ -27,6 +27,7 @@ from depthmocap.synth.body.mesh import Body, BodyModel, Phenotype
 from depthmocap.synth.motion.perform import Motion
 from depthmocap.synth.motion.stroll import Stop, stroll
 from depthmocap.synth.people.bodies import random_dressed_body
+from depthmocap.synth.sample import Split
 
 _Y_UP = z_up_from("y").T
 _CUTOFF_HZ = 6.0
@@ -107,11 +108,13 @@ def tell(what: str, group: Samples, model: tuple[ndarray, ndarray, ndarray]) -> 
 def main(clips: Path, path: Path) -> None:
     rng = np.random.default_rng(0)
     body = BodyModel.load().shape(Phenotype())
-    captured: dict[str, Samples] = {"train": [], "valid": [], "test": []}
+    captured: dict[Split, Samples] = {"train": [], "valid": [], "test": []}
     for split, group in captured.items():
         for name in walks(clips, split):
             motion = captured_walk(clips / name, body)
-            for _ in range(_REPEATS if split == "train" and motion else bool(motion)):
+            if motion is None:
+                continue
+            for _ in range(_REPEATS if split == "train" else 1):
                 group += samples(body, motion, rng)
     ruled: list[Samples] = [[], []]
     for number in range(_BY_RULE):
