@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from two_people_take import FRAMES, LOST, write_take
 
+from depthmocap.body.landmarks import LANDMARK_NAMES
 from depthmocap.body.skeleton import BONES, JOINT_INDEX, JOINTS
 from depthmocap.exporting.export_command import ExportSettings, export
 from depthmocap.exporting.opensim_model import COORDINATES
@@ -82,6 +83,19 @@ def test_inverse_kinematics_follows_the_joints(exported: tuple[Path, np.ndarray]
         difference = columns[f"knee_angle_{side.lower()}"] - bend(joints, side)
         assert np.sqrt((difference**2).mean()) < 3.0
     assert np.abs(np.diff(columns["pelvis_rotation"])).max() < 90
+
+
+def test_landmarks_are_markers_with_weights(exported: tuple[Path, np.ndarray], tmp_path: Path) -> None:
+    take = exported[0].parent / "take"
+    export(ExportSettings(take, tmp_path, formats=("trc", "osim", "mot"), landmarks=True))
+    told = json.loads((tmp_path / "export.json").read_text())["people"][0]["mot"]
+    assert set(told["by_marker_cm"]) == {*JOINTS, *LANDMARK_NAMES}
+    assert told["marker_rms_cm"] < 1.5
+    columns = motion(tmp_path / "ik.mot")
+    for side in "LR":
+        difference = columns[f"knee_angle_{side.lower()}"] - bend(exported[1], side)
+        assert np.sqrt((difference**2).mean()) < 3.0
+    assert np.ptp(columns["ankle_angle_r"]) > 5  # locked without landmarks
 
 
 def test_people_with_gaps(tmp_path: Path) -> None:
