@@ -23,6 +23,10 @@ _ACTS = {
     "apart 1 m": "two, 1 m apart",
     "apart 0.6 m": "two, 0.6 m apart",
     "embrace": "an embrace",
+    "wheelchair": "in a wheelchair that rolls",
+    "in bed": "in bed under a blanket",
+    "close up": "one camera, 1 m from the breast",
+    "carried": "one camera that is carried about",
 }
 _JOINTS = {
     "with true masks": "with true masks",

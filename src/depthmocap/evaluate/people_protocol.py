@@ -28,7 +28,8 @@ from depthmocap.core.output import check_outputs, write_json
 from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
 from depthmocap.evaluate.empty_rooms import EmptyRoomScene
-from depthmocap.evaluate.posture_scenarios import ACTS, STILL_RATE_HZ, PostureScenario
+from depthmocap.evaluate.posture_scenarios import ACTS, STILL_RATE_HZ, Act, PostureScenario
+from depthmocap.evaluate.posture_scene import PostureScene
 from depthmocap.evaluate.scenario_scene import ScenarioScene, SceneFrame
 from depthmocap.evaluate.scenarios import BesideFurniture, EmptyRoom, Meeting, Scenario, Visits
 from depthmocap.frames import FrameSet
@@ -65,7 +66,8 @@ class PeopleEvaluation(NetworkSettings):
         scenario: meeting: two people enter, cross, stand side by side, push a chair, leave and return. returns: two or
             three people enter and leave, and all are away before they return. beside: one person stands close to
             furniture from the start, and an empty room. postures: people who stand, sit or lie, for long, who fall,
-            touch or are small. rooms: furnished rooms without anybody, a third of them with something that moves.
+            touch or are small, sit in a wheelchair or lie in bed, or are seen by one camera alone. rooms: furnished rooms without anybody, a third of them with something that moves.
+        acts: which of the postures.
         segment: ways of finding people to compare.
         weights: a people.onnx of your own.
         scenes: number of scenes of each kind, with other people, cameras and trajectories.
@@ -78,6 +80,7 @@ class PeopleEvaluation(NetworkSettings):
     """
 
     scenario: Literal["meeting", "returns", "beside", "postures", "rooms"] = "meeting"
+    acts: tuple[Act, ...] = ACTS
     segment: tuple[Literal["auto", "network", "background"], ...] = ("auto", "network", "background")
     weights: Path | None = None
     scenes: int = 4
@@ -91,6 +94,8 @@ class PeopleEvaluation(NetworkSettings):
     def __post_init__(self) -> None:
         check_seed(self.seed)
         check_outputs({"--json": self.json})
+        if not self.acts:
+            raise InputError(f"--acts takes some of {', '.join(ACTS)}")
         if min(self.scenes, self.cameras) < 1 or not 1 <= self.rate_hz <= 60 or not 0.2 <= self.apart_m <= 1:
             raise InputError("--scenes and --cameras take at least 1, --rate-hz 1 to 60, --apart-m 0.2 to 1")
 
@@ -156,6 +161,8 @@ def _evaluate(settings: PeopleEvaluation, console: Console) -> dict[str, Any]:
         for index in range(settings.scenes):
             if scenario is None:
                 scene = EmptyRoomScene(rng, settings.cameras, rate_hz, _ROOM_SETS)
+            elif isinstance(scenario, PostureScenario):
+                scene = PostureScene(rng, scenario, settings.cameras, rate_hz)
             else:
                 scene = ScenarioScene(rng, scenario, settings.cameras, rate_hz)
             for segment, background, score in scores.values():
@@ -194,7 +201,7 @@ def _segmenter(
 def _scenarios(settings: PeopleEvaluation) -> list[tuple[str, Scenario | None, tuple[str, ...]]]:
     """Names, scenarios (None for rooms without people), and whether the background is known or learnt."""
     if settings.scenario == "postures":
-        return [(act, PostureScenario(act), ("learnt",)) for act in ACTS]
+        return [(act, PostureScenario(act), ("learnt",)) for act in settings.acts]
     if settings.scenario == "rooms":
         return [("rooms without people", None, ("learnt",))]
     if settings.scenario == "meeting":

@@ -11,8 +11,10 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation, Slerp
 
 from depthmocap.evaluate.scenarios import Stage, random_actor, sway
-from depthmocap.synth.body.bones import POSTURE_INDEX, turn_posture
+from depthmocap.geometry import rotation_between
+from depthmocap.synth.body.bones import POSTURE_INDEX, heading, turn_posture
 from depthmocap.synth.body.mesh import BodyModel
+from depthmocap.synth.motion.limits import bone_axis
 from depthmocap.synth.motion.perform import Motion
 from depthmocap.synth.motion.seat import seated
 from depthmocap.synth.motion.stroll import Stop, stroll
@@ -30,14 +32,22 @@ Act: TypeAlias = Literal[
     "apart 1 m",
     "apart 0.6 m",
     "embrace",
+    "wheelchair",
+    "in bed",
+    "close up",
+    "carried",
 ]
 ACTS: tuple[Act, ...] = get_args(Act)
 #: Length of the acts (seconds); of those in which somebody keeps still.
 _SECONDS, _STILL_SECONDS = 14.0, 180.0
+#: Acts that one camera alone sees, whose place nobody knows.
+ONE_CAMERA: tuple[Act, ...] = ("close up", "carried")
+#: How far a wheelchair rolls (metres).
+_ROLLS_M = 1.2
 #: Frame sets per second while somebody keeps still.
 STILL_RATE_HZ = 3.0
 #: Postures: a time (seconds), the posture, and the place of the middle (x, y in metres).
-_Keys: TypeAlias = list[tuple[float, Float[ndarray, "20 3"], tuple[float, float]]]
+_Keys: TypeAlias = list[tuple[float | int, Float[ndarray, "20 3"], tuple[float, float]]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,12 +88,25 @@ class PostureScenario:
         standing = _standing(actor, np.array([x, y]), stage.times_s)
         if self.act == "stands still":
             return [sway(rng, standing)]
+        if self.act == "close up":
+            return [sway(rng, standing)]
+        if self.act == "carried":
+            stops = [Stop(x, y, 1.0), Stop(x + 0.7, y, 1.0), Stop(x, y + 0.5, 1.0), Stop(x, y)]
+            return [sway(rng, stroll(actor, stops, 1.0, 0.8, stage.times_s))]
         yaw = rng.uniform(-np.pi, np.pi)
+        if self.act == "in bed":
+            yaw = np.pi / 2 * int(rng.integers(4)) + rng.normal(0, 0.05)
         upright = turn_posture(standing.postures[0][None], yaw)[0]
-        sits, lies = turn_posture(_on_floor(seated(standing.postures[0], rng))[None], yaw)[0], _lying(upright, rng)
+        on_seat = seated(standing.postures[0], rng)
+        sits, lies = turn_posture(_on_floor(on_seat)[None], yaw)[0], _lying(upright, rng)
+        on_seat = turn_posture(on_seat[None], yaw)[0]
+        ahead = Rotation.from_rotvec([0, 0, heading(on_seat[None])[0]]).apply([0.0, -_ROLLS_M / 2, 0.0])
+        start, end = (x - ahead[0], y - ahead[1]), (x + ahead[0], y + ahead[1])
         keys: dict[Act, _Keys] = {
             "lies still": [(0.0, lies, (x, y))],
             "infant": [(0.0, lies, (x, y))],
+            "in bed": [(0.0, lies, (x, y))],
+            "wheelchair": [(0, on_seat, start), (4, on_seat, start), (8, on_seat, end)],
             "sits on the floor": [(0, upright, (x, y)), (3, upright, (x, y)), (5, sits, (x, y))],
             "falls": [(0, upright, (x, y)), (4, upright, (x, y)), (4.7, lies, (x, y))],
             "lies down": [
@@ -111,8 +134,13 @@ def _embrace(rng: np.random.Generator, stage: Stage) -> list[Motion]:
 def _on_floor(posture: Float[ndarray, "20 3"]) -> Float[ndarray, "20 3"]:
     """A seated posture with the legs stretched out on the floor."""
     out = posture.copy()
+    pelvis = Rotation.from_rotvec(posture[POSTURE_INDEX["pelvis"]])
     for side in "RL":
         out[POSTURE_INDEX[f"shin.{side}"]] = [0.15, 0.0, 0.0]
+        thigh = pelvis * Rotation.from_rotvec(posture[POSTURE_INDEX[f"thigh.{side}"]])
+        leg = thigh.apply(bone_axis(f"thigh.{side}"))
+        level = Rotation.from_matrix(rotation_between(leg, leg * [1, 1, 0]))
+        out[POSTURE_INDEX[f"thigh.{side}"]] = (pelvis.inv() * level * thigh).as_rotvec()
     return out
 
 

@@ -22,8 +22,10 @@ from depthmocap.synth.people.wardrobe import random_clothes
 HALF_X = 3.0
 #: Half the length of the room along y, metres.
 HALF_Y = 2.9
-#: People enter from this far behind the walls, metres.
-_OUTSIDE_M = 0.6
+#: Doors by axis and sign of their wall: from where to where along the wall, metres.
+DOORS = {(0, -1): (-0.6, 0.7), (0, 1): (-1.1, 0.1), (1, 1): (0.6, 1.9)}
+#: People walk along a corridor this far behind the walls, and wait there this far beside a door's middle, metres.
+_OUTSIDE_M, _ASIDE_M = 0.7, 1.5
 #: Statures of people who look alike differ by at most this, metres.
 ALIKE_M = 0.015
 #: Statures of people who look different differ by at least this, metres.
@@ -85,7 +87,7 @@ class Meeting:
     """
 
     apart_m: float = 0.5
-    seconds: float = 22.0
+    seconds: float = 24.0
     chair_pushed_s: tuple[float, float] | None = (7.0, 7.6)
 
     def actors(self, rng: np.random.Generator) -> list[DressedBody]:
@@ -94,17 +96,15 @@ class Meeting:
     def trajectories(self, rng: np.random.Generator, stage: Stage) -> list[Motion]:
         x, y = rng.uniform(-0.2, 0.2, 2)
         first = [
-            Stop(-HALF_X - _OUTSIDE_M, y), Stop(x, y, 7.0), Stop(x + 0.2, y + 1.1, 0.5), Stop(x - 0.9, y - 0.9, 1.0),
-            Stop(x, y),
+            *_through((0, -1)), Stop(x, y, 7.0), Stop(x + 0.2, y + 1.1, 0.5), Stop(x - 0.9, y - 0.9, 1.0), Stop(x, y),
         ]  # fmt: skip
         second = [
-            Stop(stage.chair[0] - 0.1, HALF_Y + _OUTSIDE_M), Stop(stage.chair[0] - 0.45, stage.chair[1] + 0.2, 0.3),
-            Stop(x + self.apart_m, y, 1.0), Stop(x - 0.2, y - 1.3, 0.4), Stop(HALF_X + _OUTSIDE_M, y - 0.5, 1.5),
-            Stop(x + 1.0, y - 0.1),
+            *_through((1, 1)), Stop(stage.chair[0] - 0.45, stage.chair[1] + 0.2, 0.3), Stop(x + self.apart_m, y, 1.0),
+            Stop(x - 0.2, y - 1.3, 0.4), *reversed(_through((0, 1))), *_through((0, 1))[1:], Stop(x + 1.0, y - 0.1),
         ]  # fmt: skip
         return [
             stroll(stage.actors[0], first, 0.3, rng.uniform(1.0, 1.2), stage.times_s),
-            stroll(stage.actors[1], second, 3.0, rng.uniform(1.0, 1.2), stage.times_s),
+            stroll(stage.actors[1], second, 1.8, rng.uniform(1.0, 1.2), stage.times_s),
         ]
 
 
@@ -126,7 +126,7 @@ class Visits:
     #: Time from one entry to the next, seconds.
     _every_s = 4.5
     #: Time that a visit takes, with some to spare, seconds.
-    _visit_s = 10.0
+    _visit_s = 12.8
 
     @property
     def seconds(self) -> float:
@@ -159,7 +159,7 @@ class Visits:
     def _draw_plans(self, rng: np.random.Generator) -> list[tuple[_Visit, _Visit]]:
         """Two visits of each person."""
         # People never enter through the door by which others leave.
-        doors = rng.permutation([[-HALF_X - _OUTSIDE_M, 0.1], [HALF_X + _OUTSIDE_M, -0.4], [1.4, HALF_Y + _OUTSIDE_M]])
+        doors = [list(DOORS)[k] for k in rng.permutation(len(DOORS))]
         order, plans = rng.permutation(self.people), []
         for k in range(self.people):
             visits = []
@@ -167,9 +167,9 @@ class Visits:
                 azimuths = 2 * np.pi * k / self.people + rng.uniform(-0.4, 0.4, 2)
                 inside = 0.7 * np.stack([np.cos(azimuths), np.sin(azimuths)], 1)
                 stops = (
-                    _stop(doors[int(rng.integers(1, 3))]),
+                    *_through(doors[int(rng.integers(1, 3))]),
                     *(_stop(place, float(rng.uniform(0.2, 1.0))) for place in inside),
-                    _stop(doors[0]),
+                    *reversed(_through(doors[0])),
                 )
                 visits.append(_Visit(stops, start_s, float(rng.uniform(1.0, 1.2))))
             plans.append((visits[0], visits[1]))
@@ -237,9 +237,8 @@ def stature_m(dressed: DressedBody) -> float:
 
 
 def random_actor(rng: np.random.Generator) -> DressedBody:
-    """An adult of any build, dressed."""
-    phenotype = random_phenotype(rng, children=False)
-    return clothe(BodyModel.load().shape(phenotype), random_clothes(rng, False, phenotype.gender), rng)
+    """An adult of any build and an adult's stature, dressed."""
+    return _random_visitor(rng, [], False)
 
 
 def _random_visitor(rng: np.random.Generator, others_m: list[float], alike: bool) -> DressedBody:
@@ -253,6 +252,16 @@ def _random_visitor(rng: np.random.Generator, others_m: list[float], alike: bool
             (difference_m < ALIKE_M if alike else difference_m > UNLIKE_M).all()
         ):
             return clothe(body, random_clothes(rng, False, phenotype.gender), rng)
+
+
+def _through(door: tuple[int, int]) -> tuple[Stop, Stop]:
+    """The way in by a door: from where nobody sees them, beside it in the corridor, to before it."""
+    axis, sign = door
+    across = sign * ((HALF_X, HALF_Y)[axis] + _OUTSIDE_M)
+    middle = float(np.mean(DOORS[door]))
+    ends = (middle + _ASIDE_M, middle)
+    places = [(across, along) if axis == 0 else (along, across) for along in ends]
+    return Stop(*places[0]), Stop(*places[1])
 
 
 def _stop(place: Float[ndarray, "2"], stand_s: float = 0.0) -> Stop:

@@ -33,8 +33,10 @@ from depthmocap.segment.person_tracks import PersonTrack, PersonTracker, Votes, 
 #: Neighbouring pixels whose depths differ by less than this (metres) show one surface.
 STEP_M = 0.1
 #: What continues somebody's surface before the empty scene is theirs, too, if its logit is above this, so far from what
-#: the network found (metres): hands and feet.
+#: the network found (metres): hands and feet;
 GROW_LOGIT, GROW_M = -5.0, 0.35
+#: and above this where the empty scene is not known.
+GROW_UNKNOWN_LOGIT = -3.0
 #: Somebody is certain to be a person after some sets; so many first sets of a recording are seen before it begins.
 _SETS_BEFORE = 8
 #: Where the empty scene is known, the network sees the whole picture in one of so many sets, in the others a part.
@@ -288,8 +290,9 @@ def _paint(
         limit_m = np.broadcast_to(limit_m, depth_m.shape)
     grid = detected.grid
     grow_people(
-        detected.samples_m, detected.limit_m, detected.logits, GROW_LOGIT, STEP_M, GROW_M, SAMPLE_RAD, of_samples
-    )
+        detected.samples_m, detected.limit_m, detected.logits, GROW_LOGIT, GROW_UNKNOWN_LOGIT, STEP_M, GROW_M,
+        SAMPLE_RAD, of_samples,
+    )  # fmt: skip
     paint_people(
         depth_m, limit_m, grid.row_starts, grid.column_starts, detected.samples_m, of_samples, beyond, STEP_M, out
     )

@@ -42,7 +42,7 @@ _UNDER_BLANKET = 0.4
 #: Share of people half of whom is behind the end of a wall, as in a doorway.
 _IN_DOORWAY = 0.1
 #: Cloth shows the person beneath if it lies no farther from the body than this (metres).
-_COVER_M = 0.15
+COVER_M = 0.15
 #: Share of seated people who sit in a wheelchair.
 _WHEELCHAIR = 0.15
 #: A person lies if the body is lower than this (metres, of an adult) and this much longer than high.
@@ -141,7 +141,7 @@ class PopulatedScene:
                 values = np.full(len(blanket.faces), blanket.material, np.uint8)
                 draw_mesh(blanket.vertices, blanket.faces, values, camera, depth, code, two_sided=True)
             # Cloth right over somebody shows them, as clothes do.
-            near = (depth < bare) & (bare < depth + _COVER_M)
+            near = (depth < bare) & (bare < depth + COVER_M)
             code[near] += bare_code[near] // _CODE * _CODE
         depth[np.isinf(depth)] = 0
         return PeoplePicture(depth, code % _CODE, code // _CODE)
@@ -235,7 +235,7 @@ def _support(
         if len(under):
             supports.append(under)
             if rng.random() < _WHEELCHAIR:
-                supports.append(_wheels(rng, person))
+                supports.append(wheels(rng, person))
             elif rng.random() < _AT_TABLE:
                 supports.append(_table_before(rng, person, place))
     for person in people:
@@ -285,12 +285,18 @@ def _apart(one: PosedPerson, other: PosedPerson) -> bool:
 
 def _supported(rng: np.random.Generator, person: PosedPerson) -> tuple[PosedPerson, Solids]:
     """A lying person on a bed or couch, often; everybody else as they are."""
-    points = _points(person)
-    low, high = points.min(0), points.max(0)
-    size = high - low
+    size = np.ptp(_points(person), axis=0)
     if size[2] > _LYING_M or max(size[:2]) < _LYING * size[2] or rng.random() > _ON_BED:
         return person, NONE
     height = rng.uniform(0.02, 0.12) if rng.random() < 0.25 else rng.uniform(0.3, 0.75)
+    return bed_under(rng, person, height)
+
+
+def bed_under(rng: np.random.Generator, person: PosedPerson, height: float) -> tuple[PosedPerson, Solids]:
+    """A lying person on a bed or couch of this height (metres), and the bed."""
+    points = _points(person)
+    low, high = points.min(0), points.max(0)
+    size = high - low
     axis = np.array([size[0] >= size[1], size[1] > size[0]])
     half = np.maximum(size[:2] / 2 + rng.uniform(0.03, 0.4), np.where(axis, 0.95, 0.4))
     centre = (low + high)[:2] / 2 + rng.normal(0, 0.05, 2)
@@ -310,7 +316,7 @@ def _supported(rng: np.random.Generator, person: PosedPerson) -> tuple[PosedPers
     return person.moved(np.eye(3), np.array([0.0, 0.0, height - sinks - low[2]])), join(parts)
 
 
-def _wheels(rng: np.random.Generator, person: PosedPerson) -> Solids:
+def wheels(rng: np.random.Generator, person: PosedPerson) -> Solids:
     """The wheels, handles and footrest of a wheelchair around a seated person."""
     right, left = person.joints[JOINT_INDEX["RHip"]], person.joints[JOINT_INDEX["LHip"]]
     feet = (person.joints[JOINT_INDEX["RFoot"]] + person.joints[JOINT_INDEX["LFoot"]]) / 2
