@@ -33,6 +33,14 @@ def test_true_labels_beat_the_network(body_model: BodyModel, tmp_path: Path) -> 
     assert found["network"]["recipe"]["split"] == "test"
 
 
+def test_found_masks_in_rooms_cost_little(body_model: BodyModel) -> None:
+    settings = BenchEvaluation(samples=2, sets=("seen",), scene="full", labels="true", workers=0)
+    true = evaluate_bench(settings, QUIET)["seen"]
+    found = evaluate_bench(dataclasses.replace(settings, masks="network"), QUIET)["seen"]
+    assert true["recipe"]["scene"] == "full" and found["true_joints"] == true["true_joints"]
+    assert 0 < abs(found["mean_joint_error_cm"] - true["mean_joint_error_cm"]) < 5
+
+
 @pytest.mark.slow
 def test_sets_differ_and_are_made_alike_again(body_model: BodyModel) -> None:
     settings = BenchEvaluation(samples=2, workers=0)

@@ -13,7 +13,7 @@ def grown(limit_m=4.0, logit=-3.0, samples_m=None):
     labels = np.zeros(samples.shape, np.uint8)
     labels[1, 0] = 7
     limits, logits = np.full_like(samples, limit_m), np.full_like(samples, logit)
-    grow_people(samples, limits, logits, -5.0, -3.0, 0.1, 0.35, 0.01, labels)
+    grow_people(samples, limits, logits, -5.0, 0.1, 0.35, 0.01, labels)
     assert not labels[[0, 2]].any()
     return np.count_nonzero(labels[1] == 7)
 

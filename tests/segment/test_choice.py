@@ -94,3 +94,11 @@ def test_the_middle_is_what_all_cameras_look_at():
 def test_choices_that_cannot_be(change, message):
     with pytest.raises(InputError, match=message):
         Choice(**change)
+
+
+def test_an_area_needs_cameras_that_stand_somewhere():
+    nowhere = [dataclasses.replace(CAMERAS[0], world_from_camera=np.eye(4))]
+    follower = Follower(Choice(area=(0.0, 0.0, 1.0, 0.0, 1.0, 1.0)), "z")
+    with pytest.raises(InputError, match="does not tell where its cameras stand"):
+        follower(TRACKS, 1, lambda each: each.centre_m, nowhere)
+    assert Follower(Choice(), "z")(TRACKS, 1, lambda each: each.centre_m, nowhere)

@@ -7,13 +7,15 @@ import pytest
 
 from depthmocap.classify.classifier import packaged_weights
 from depthmocap.errors import InputError
-from depthmocap.frames import FrameSet, View
+from depthmocap.frames import FrameSet, FrameSource, View
 from depthmocap.geometry import DepthCamera, look_at
 from depthmocap.segment.depth_grid import DepthGrid
 from depthmocap.segment.load_segmenter import load_segmenter
 from depthmocap.segment.network_segmenter import NetworkSegmenter
 from depthmocap.segment.people_detector import PeopleDetector, limits_at, person_mask
 from depthmocap.segment.people_segmenter import PeopleSegmenter, PersonMasks
+from depthmocap.segment.person_by_network import PersonByNetwork
+from depthmocap.segment.static_scene import PersonSegmenter
 
 RATE = 10
 
@@ -140,6 +142,32 @@ def test_a_camera_on_its_side_finds_as_much(dressed):
     assert overlap([np.rot90(person.masks[0], -1)], masks[0]) > 0.75
 
 
+class Still(FrameSource):
+    """The same set of frames again and again."""
+
+    def __init__(self, frames: FrameSet) -> None:
+        self.frames, self.camera_names = frames, tuple(view.camera.name for view in frames.views)
+
+    def __len__(self) -> int:
+        return 50
+
+    def __getitem__(self, index: int) -> FrameSet:
+        return dataclasses.replace(self.frames, timestamp_ns=index * 10**8)
+
+
+def test_who_is_a_part_of_the_estimated_empty_scene_is_found_by_the_network(dressed):
+    from depthmocap.synth.body.mesh import REST_POSTURE
+
+    frames, masks = shown(dressed, [camera("cam0", 0.4)], REST_POSTURE, 0)
+    (view,), (true,) = frames.views, masks
+    assert not PersonSegmenter.from_recording(Still(frames))(view).any()
+    segmenter = PersonByNetwork.from_recording(Still(frames))
+    assert segmenter.doubtful == {"cam0"} and segmenter.problems == []
+    assert overlap([segmenter(view)], true) > 0.75
+    known = PersonByNetwork({"cam0": np.full(view.depth_m.shape, 9.0, np.float32)})
+    assert known.doubtful == set()  # who is told the empty scene needs no network
+
+
 def test_an_unplaced_camera_needs_no_floor_and_no_up(dressed):
     """One camera alone, its pose unknown."""
     from depthmocap.synth.body.mesh import REST_POSTURE
@@ -166,6 +194,35 @@ def test_nothing_is_found_where_nobody_is_and_in_odd_pictures():
         for i in range(6):
             assert segment(FrameSet(i * 10**8, (View(cameras[0], picture),))) == ()
     assert NetworkSegmenter({})(FrameSet(0, ())) == ()
+
+
+def test_a_covered_camera_loses_nobody_and_invents_nobody(dressed):
+    from depthmocap.synth.body.mesh import REST_POSTURE
+
+    cameras = [camera(f"cam{i}", 2.1 * i + 0.4) for i in range(2)]
+    frames, _ = shown(dressed, cameras, REST_POSTURE, 0)
+    segment, numbers = NetworkSegmenter({}, people=4), []
+    for i in range(40):
+        first, second = frames.views
+        covered = {1: np.zeros_like(second.depth_m), 2: np.full_like(second.depth_m, 0.3)}.get(i // 10)
+        views = (first, second if covered is None else View(second.camera, covered))
+        numbers.append([person.number for person in segment(FrameSet(i * 10**8, views))])
+    assert all(found == [1] for found in numbers[4:])
+
+
+def test_nobody_for_an_hour_then_somebody_is_found_at_once(dressed):
+    from depthmocap.synth.body.mesh import REST_POSTURE
+
+    room, _ = shown(dressed, [camera("cam0", 0.4)], REST_POSTURE, 0, at=(9.0, 0.0))
+    inside, masks = shown(dressed, [camera("cam0", 0.4)], REST_POSTURE, 1)
+    segment = NetworkSegmenter({}, people=2)
+    for i in range(0, 3600, 20):
+        assert segment(dataclasses.replace(room, timestamp_ns=i * 10**9)) == ()
+    people: tuple[PersonMasks, ...] = ()
+    for i in range(4):
+        people = segment(dataclasses.replace(inside, timestamp_ns=3600 * 10**9 + i * 10**8))
+    assert [person.number for person in people] == [1]
+    assert overlap(people[0].masks, masks[0]) > 0.75
 
 
 def test_views_with_masks_keep_them():

@@ -5,7 +5,7 @@ import numpy as np
 from depthmocap.classify.classifier import ViewPrediction
 from depthmocap.frames import FrameSet, Pose, View
 from depthmocap.geometry import DepthCamera
-from depthmocap.offline.pipeline import Pipeline
+from depthmocap.offline.pipeline import Pipeline, mix_up_lines
 from depthmocap.segment.people_segmenter import PersonMasks
 from depthmocap.smooth.fixed_lag import FixedLag, FixedLagSettings
 from depthmocap.smooth.pose_filter import MAX_GAP_S
@@ -26,6 +26,14 @@ class Numbers:
 
     def reset(self) -> None:
         pass
+
+
+class Touching(Numbers):
+    """Two who touch."""
+
+    def __call__(self, frames: FrameSet) -> tuple[PersonMasks, ...]:
+        masks = (np.ones((3, 4), bool),)
+        return PersonMasks(1, masks, (2,), 0.25), PersonMasks(2, masks, (1,), 0.25)
 
 
 class Anywhere:
@@ -60,3 +68,13 @@ def test_every_pose_is_final_once_and_filters_of_who_has_gone_are_put_away() -> 
         final.setdefault(number, []).extend(own)
     assert {number: [pose.timestamp_ns for pose in own] for number, own in final.items()} == given
     assert most <= 2 + MAX_GAP_S * RATE
+
+
+def test_who_cannot_be_told_apart_is_said_and_less_confident() -> None:
+    segment = Touching()
+    result = Pipeline(Anywhere(), Anywhere(), segment)(FrameSet(0, (View(CAMERA, np.ones((3, 4), np.float32)),)))
+    assert mix_up_lines(result) == [
+        "people 1 and 2 could not be told apart: they touched, or are as tall, and may be each other"
+    ]
+    assert [person.mistakable for person in result.people] == [(2,), (1,)]
+    assert (result.pose.confidence == 0.75).all()

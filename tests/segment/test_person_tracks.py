@@ -165,6 +165,17 @@ def test_nobody_is_measured_whose_head_may_be_cut_off(rng):
     assert np.isnan(tracker.active[0].stature_m)
 
 
+def test_twenty_people_have_twenty_numbers_and_keep_them(rng):
+    tracker, where = PersonTracker(), {}
+    for i in range(RATE * 2):
+        votes = [person(rng, 1.2 * (k % 5), 1.2 * (k // 5)) for k in range(20)]
+        tracker.update(joined(*votes), i / RATE)
+        if i == RATE:
+            where = {track.number: track.centre_m.copy() for track in tracker.active}
+    assert numbers(tracker) == list(range(1, 21))
+    assert all(np.linalg.norm(track.centre_m - where[track.number]) < 0.3 for track in tracker.active)
+
+
 def test_memory_is_bounded_when_people_come_and_go_for_long(rng):
     tracker = PersonTracker()
     now = 0.0

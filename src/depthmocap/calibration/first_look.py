@@ -67,10 +67,9 @@ def _look(recording: Recording, camera: DepthCamera, segmenter: PersonSegmenter,
             depths.append(camera.to_metres(recording.raw(camera.name, stamps[i])))
         except InputError:
             continue
-    background_m = segmenter.backgrounds_m.get(camera.name)
     sights: dict[float, _Sight] = {}
     for factor in (1.0, *COMMON_FACTORS):
-        people = segmenter if factor == 1 or background_m is None else _scaled(segmenter, camera.name, factor)
+        people = segmenter if factor == 1 else segmenter.scaled(camera.name, factor)
         views = [View(camera, depth_m * np.float32(factor)) for depth_m in depths]
         sight = _Sight.of([(view, people(view)) for view in views], classifier)
         if sight.sure and STATURES_M[0] < sight.stature_m < STATURES_M[1]:
@@ -81,10 +80,6 @@ def _look(recording: Recording, camera: DepthCamera, segmenter: PersonSegmenter,
         return FirstLook()
     factor = min(sights, key=lambda factor: abs(np.log(sights[factor].stature_m / _ADULT_M)))
     return FirstLook(factor, sights[factor].quarters(classifier), sights[factor].stature_m)
-
-
-def _scaled(segmenter: PersonSegmenter, name: str, factor: float) -> PersonSegmenter:
-    return PersonSegmenter({name: segmenter.backgrounds_m[name] * np.float32(factor)}, segmenter.mode)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

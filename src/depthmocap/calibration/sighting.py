@@ -20,7 +20,7 @@ from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.recordings.recording import Recording
-from depthmocap.segment.static_scene import PersonSegmenter
+from depthmocap.segment.person_by_network import PersonByNetwork
 from depthmocap.text import joined
 
 #: Somebody smaller than this (metres) may be an adult in half of the depth unit.
@@ -89,14 +89,14 @@ def see_person(
     """
     with console.status("reading the background and the weights"):
         classifier = Classifier(weights)
-        segmenter = PersonSegmenter.from_recording(recording, segment)
+        segmenter = PersonByNetwork.from_recording(recording, segment)
         if not classifier.predicts_joints:
             raise InputError(f"{classifier.path} is a network that tells no joints, which a calibration is made of")
         looks = look_first(recording, segmenter, classifier)
         if any(look.factor != 1 for look in looks.values()):
             factors = {name: look.factor for name, look in looks.items()}
             recording = open_recording(recording.path, _with_factors(recording.rig, factors))
-            segmenter = PersonSegmenter.from_recording(recording, segment)
+            segmenter = PersonByNetwork.from_recording(recording, segment)
     names = recording.rig.names
     total = sum(len(subsample_timestamps(recording.stamps(name), rate_hz)) for name in names)
     with Progress(console=console, transient=True) as progress:

@@ -29,7 +29,7 @@ from depthmocap.recordings.depth_codec import Coding
 from depthmocap.recordings.merged_take import ClockMap, check_new_take, write_take
 from depthmocap.recordings.open_recording import RECORDING_FILES, open_recording
 from depthmocap.recordings.recording import Recording
-from depthmocap.segment.static_scene import PersonSegmenter
+from depthmocap.segment.person_by_network import PersonByNetwork
 from depthmocap.text import joined
 
 #: ± is so many standard errors.
@@ -236,7 +236,7 @@ def _observe_all(
     with Progress(console=console, transient=True) as progress:
         task = progress.add_task("looking", total=total)
         for index, recording in enumerate(recordings):
-            segmenter = PersonSegmenter.from_recording(recording, settings.segment)
+            segmenter = PersonByNetwork.from_recording(recording, settings.segment)
             problems += segmenter.problems
             for seen in observe(recording, classifier, segmenter, rate_hz, lambda: progress.advance(task)):
                 times_s = seen.track.times_s - starts_ns[clock_of[index]] / 1e9

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from rich.console import Console
@@ -22,11 +22,15 @@ from depthmocap.core.settings import check_seed, plain_settings
 from depthmocap.errors import InputError
 from depthmocap.evaluate.accuracy import AccuracyEvaluation, check_views, measure_accuracy, print_numbers
 from depthmocap.evaluate.evaluation_report import FILES, about, write_outputs
+from depthmocap.evaluate.found_masks import with_found_masks
 from depthmocap.frames import FrameSet
 from depthmocap.geometry import DepthCamera
+from depthmocap.segment.people_detector import PeopleDetector
 from depthmocap.synth.motion.postures import ClipPostures, posture_source
 from depthmocap.synth.sample import BENCH, Recipe
 from depthmocap.synth.writing.stream import stream
+
+SceneName: TypeAlias = Literal["off", "training", "full"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,6 +46,10 @@ class BenchEvaluation(AccuracyEvaluation):
         samples: postures per set.
         sets: names of the sets.
         views: cameras around each posture.
+        scene: what is around the people: "off" nothing, "training" things that hide them or touch them, "full"
+            furnished rooms, with somebody else in some.
+        masks: "true" ones, or those that the network finds without an empty scene (of several people found, the one who
+            overlaps most with the true masks).
         misplaced_mm: error of each camera's position, in a random direction.
         misplaced_deg: error of each camera's rotation, about a random axis.
         workers: processes that make the images.
@@ -51,6 +59,8 @@ class BenchEvaluation(AccuracyEvaluation):
     samples: int = 300
     sets: tuple[str, ...] = tuple(BENCH)
     views: int = 3
+    scene: SceneName = "off"
+    masks: Literal["true", "network"] = "true"
     seed: int = 1
     misplaced_mm: float = 0.0
     misplaced_deg: float = 0.0
@@ -58,10 +68,11 @@ class BenchEvaluation(AccuracyEvaluation):
 
 
 def _frames(recipe: Recipe, settings: BenchEvaluation) -> Iterator[FrameSet]:
+    detector = PeopleDetector() if settings.masks == "network" else None
     for index, sample in stream(recipe, settings.seed, 0, settings.samples, settings.workers):
         rng = np.random.default_rng([settings.seed, index, 17])
         views = tuple(dataclasses.replace(view, camera=_misplaced(view.camera, settings, rng)) for view in sample.views)
-        yield FrameSet(index, views, sample.joints)
+        yield FrameSet(index, views if detector is None else with_found_masks(views, detector), sample.joints)
 
 
 def _misplaced(camera: DepthCamera, settings: BenchEvaluation, rng: np.random.Generator) -> DepthCamera:
@@ -94,7 +105,9 @@ def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) ->
     clips = source.names if isinstance(source, ClipPostures) else []  # none: postures are of the prior
     numbers: dict[str, Any] = {}
     for name in settings.sets:
-        recipe = dataclasses.replace(BENCH[name], postures=settings.postures, views=settings.views)
+        recipe = dataclasses.replace(
+            BENCH[name], postures=settings.postures, views=settings.views, scene=settings.scene
+        )
         with Progress(console=console) as progress:
             frames = progress.track(_frames(recipe, settings), settings.samples, description=name)
             result = measure_accuracy(frames, settings.views, *stages)

@@ -66,7 +66,8 @@ class PeopleEvaluation(NetworkSettings):
         scenario: meeting: two people enter, cross, stand side by side, push a chair, leave and return. returns: two or
             three people enter and leave, and all are away before they return. beside: one person stands close to
             furniture from the start, and an empty room. postures: people who stand, sit or lie, for long, who fall,
-            touch or are small, sit in a wheelchair or lie in bed, or are seen by one camera alone. rooms: furnished rooms without anybody, a third of them with something that moves.
+            touch or are small, sit in a wheelchair or lie in bed, or are seen by one camera alone. rooms: furnished
+            rooms without anybody, a third of them with something that moves.
         acts: which of the postures.
         segment: ways of finding people to compare.
         weights: a people.onnx of your own.
@@ -147,6 +148,8 @@ def _evaluate(settings: PeopleEvaluation, console: Console) -> dict[str, Any]:
     for kind, scenario, backgrounds in _scenarios(settings):
         still = isinstance(scenario, PostureScenario) and scenario.still
         rate_hz = STILL_RATE_HZ if still else settings.rate_hz
+        if isinstance(scenario, PostureScenario):  # whichever others are measured
+            rng = np.random.default_rng([settings.seed, ACTS.index(scenario.act)])
         in_view_m2 = IN_VIEW_CHILD_M2 if kind == "infant" else IN_VIEW_M2
         scores = {
             f"{kind}, {segment}{', background known' if background == 'known' else ''}": (

@@ -108,13 +108,13 @@ def densest_vote(votes, areas, owners, most, reach_m, centre):
 
 
 @numba.njit(cache=True, nogil=True)
-def grow_people(samples_m, limit_m, logits, least, least_unknown, step_m, reach_m, sample_rad, labels):
+def grow_people(samples_m, limit_m, logits, least, step_m, reach_m, sample_rad, labels):
     """Give samples without label that of a neighbour whose surface they continue, up to some distance.
 
     Args:
         samples_m, logits: (2h, 2w).
         limit_m: (2h, 2w) depth below which a sample is before the empty scene; 0 where that is unknown.
-        least, least_unknown: logit that a sample needs before the empty scene, and where that is unknown.
+        least: logit that a sample needs.
         step_m: largest difference in depth (metres) within a surface.
         reach_m: so far over the surface from samples that have a label at first (metres).
         sample_rad: angle between samples.
@@ -136,10 +136,8 @@ def grow_people(samples_m, limit_m, logits, least, least_unknown, step_m, reach_
         for y, x in ((i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)):
             if not (0 <= y < rows and 0 <= x < columns) or labels[y, x]:
                 continue
-            other, limit = samples_m[y, x], limit_m[y, x]
-            if not other > 0 or abs(other - z) >= step_m or (limit > 0 and other >= limit):
-                continue
-            if logits[y, x] > (least if limit > 0 else least_unknown):
+            other = samples_m[y, x]
+            if 0 < other < limit_m[y, x] and abs(other - z) < step_m and logits[y, x] > least:
                 labels[y, x] = labels[i, j]
                 gone[y * columns + x] = so_far + other * sample_rad
                 queue[last] = y * columns + x

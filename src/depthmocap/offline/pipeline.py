@@ -61,13 +61,19 @@ class Segmenter(Protocol):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PersonResult:
-    """One person of a frame set: their number, which stays theirs, their pose, and what it was found in."""
+    """One person of a frame set: their number, which stays theirs, their pose, and what it was found in.
+
+    Attributes:
+        mistakable: numbers of those from whom the person cannot be told apart now; the confidences are lower by the
+            probability that the pose is theirs.
+    """
 
     number: int
     pose: Pose
     masks: tuple[Bool[ndarray, "_ _"], ...]
     labels: tuple[UInt8[ndarray, "_ _"], ...]
     cloud: LabelledCloud
+    mistakable: tuple[int, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -179,6 +185,9 @@ class Pipeline:
         clouds = [self._merge(frames, *pair) for pair in zip(by_person, numbers, strict=True)]
         clock.append(time.perf_counter())
         raw = [Pose(frames.timestamp_ns, *self._estimator(cloud, self._up)) for cloud in clouds]
+        for i, person in enumerate(persons):
+            if person.doubt:
+                raw[i] = dataclasses.replace(raw[i], confidence=raw[i].confidence * (1 - person.doubt))
         clock.append(time.perf_counter())
         followed = raw[0] if self.smoothing is None else self.smoothing(raw[0])
         final = self._gone(frames.timestamp_ns)
@@ -186,7 +195,7 @@ class Pipeline:
         clock.append(time.perf_counter())
         all_labels = [tuple(prediction.labels for prediction in of_person) for of_person in by_person]
         people = [
-            PersonResult(person.number, poses[i], person.masks, all_labels[i], clouds[i])
+            PersonResult(person.number, poses[i], person.masks, all_labels[i], clouds[i], person.mistakable)
             for i, person in enumerate(persons)
         ]
         return Result(
@@ -227,6 +236,15 @@ class Pipeline:
         if smoother.is_final:
             final.setdefault(number, []).append(smoothed)
         return smoothed
+
+
+def mix_up_lines(result: Result) -> list[str]:
+    """Who cannot be told apart in a set, a line each."""
+    pairs = {(min(one.number, two), max(one.number, two)) for one in result.people for two in one.mistakable}
+    return [
+        f"people {one} and {two} could not be told apart: they touched, or are as tall, and may be each other"
+        for one, two in sorted(pairs)
+    ]
 
 
 def warm_up(pipeline: Pipeline, frames: FrameSet) -> Pipeline:

@@ -29,7 +29,7 @@ from depthmocap.exporting.run_result import RunResult
 from depthmocap.exporting.summary import Quantiles, Summary, Take, count_problems, problem_lines, unsure_lines
 from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.geometry.depth_camera import time_offsets_s
-from depthmocap.offline.pipeline import STAGES, Pipeline, Result, warm_up
+from depthmocap.offline.pipeline import STAGES, Pipeline, Result, mix_up_lines, warm_up
 from depthmocap.offline.pipeline_settings import RIG_AREA, PipelineSettings, load_pipeline, open_source
 from depthmocap.offline.run_report import Pictures, write_run_report
 from depthmocap.recordings.recording import Recording
@@ -114,7 +114,9 @@ def _run(settings: RunSettings, console: Console, last: contextlib.ExitStack) ->
             **capture.numbers(),
             "time_offsets_s": time_offsets_s(source.rig.cameras) if isinstance(source, Recording) else {},
             "interrupted": interrupted,
-            "problems": count_problems(misplaced, source.problems, pipeline.segment.problems, people_files.problems),
+            "problems": count_problems(
+                misplaced, capture.mixed_up, source.problems, pipeline.segment.problems, people_files.problems
+            ),
         }
     if interrupted and not capture.done:
         raise KeyboardInterrupt
@@ -145,6 +147,7 @@ class _Capture:
 
     Attributes:
         misplaced: cameras that do not fit the others, a line each.
+        mixed_up: people who could not be told apart, a line for each set.
     """
 
     def __init__(
@@ -167,6 +170,7 @@ class _Capture:
         self._rig_watch = RigWatch(source.up)
         self.truths: list[Float[ndarray, "18 3"]] = []
         self.misplaced: list[str] = []
+        self.mixed_up: list[str] = []
 
     @property
     def done(self) -> int:
@@ -188,6 +192,7 @@ class _Capture:
         result = self._pipeline(frames)
         self._waiting.append((frames, result, {"read": read_ms, **result.milliseconds}))
         self.misplaced += self._rig_watch(frames, result.cloud)
+        self.mixed_up += mix_up_lines(result)
         self._by_person.update(str(person.number) for person in result.people)
         if self._people_files is not None:
             self._people_files.write(result.final)

@@ -24,7 +24,7 @@ from depthmocap.cameras.source import DepthSource
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.geometry import DepthCamera, Rig, check_extrinsics, load_rig
-from depthmocap.offline.pipeline import Pipeline, Result, warm_up
+from depthmocap.offline.pipeline import Pipeline, Result, mix_up_lines, warm_up
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline
 from depthmocap.realtime.ingest import FrameIngest, frame_set, recorded_frames
 from depthmocap.realtime.mcap_recorder import McapRecorder
@@ -250,7 +250,7 @@ class LiveCapture:
             frames = frame_set(synced, self.reader.cameras)
             result = self._pipeline(frames)
             self._send(result, frames)
-            self.reader.problems.update(self._rig_watch(frames, result.cloud))
+            self.reader.problems.update([*self._rig_watch(frames, result.cloud), *mix_up_lines(result)])
             if len(self._recorded_minus) < _FIRST_FRAMES:
                 self._recorded_minus += [
                     McapRecorder.recorded_ns(frame, self.unix_minus_monotonic_ns) - synced.times_ns[name]
@@ -363,7 +363,7 @@ class Replay:
             frames = frame_set(synced, self.ingest.cameras)
             result = self.pipeline(frames)
             latency_ms = (time.perf_counter() - start_s) * 1e3
-            self.ingest.problems.update(self._rig_watch(frames, result.cloud))
+            self.ingest.problems.update([*self._rig_watch(frames, result.cloud), *mix_up_lines(result)])
             yield _count_pose(self.statistics, LivePose(result.pose, synced, result, latency_ms))
         self.ingest.problems.update(self._rig_watch.finish())
 

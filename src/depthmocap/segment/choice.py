@@ -114,8 +114,16 @@ class Follower:
         Args:
             most: so many are followed.
             point: where a track is in the world (metres).
+
+        Raises:
+            InputError: for an area where the cameras stand nowhere.
         """
         choice = self._choice
+        if choice.area and all(np.array_equal(camera.world_from_camera, np.eye(4)) for camera in cameras):
+            raise InputError(
+                "an area is on the floor of the rig, and this rig does not tell where its cameras stand: depthmocap "
+                "calibrate RECORDING --out rig.json"
+            )
         places = {id(track): place_on_floor(point(track), self._up) for track in tracks if track.number}
         people = {track.number: track for track in tracks if track.number and choice.holds(places[id(track)])}
         numbered = {track.number for track in tracks}

@@ -68,6 +68,11 @@ def may_match(departed: Sequence[Departed], stature_m: float) -> bool:
     return bool(near) and not alike
 
 
+def alike(departed: Sequence[Departed], stature_m: float) -> tuple[int, ...]:
+    """Numbers of those who are as tall as somebody new (metres), and may be them."""
+    return tuple(away.number for away in departed if abs(away.stature_m - stature_m) <= SAME_HEIGHT_M)
+
+
 def match_place(
     departed: Sequence[Departed], position_m: Float[ndarray, "3"], stature_m: float, now_s: float
 ) -> Departed | None:

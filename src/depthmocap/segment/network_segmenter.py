@@ -18,6 +18,7 @@ from depthmocap.segment.background import BackgroundModel
 from depthmocap.segment.choice import ANYBODY, Choice, Follower
 from depthmocap.segment.depth_grid import DepthGrid
 from depthmocap.segment.floor import find_floor
+from depthmocap.segment.mix_ups import CERTAIN, find_mix_ups
 from depthmocap.segment.people_detector import (
     SAMPLE_RAD,
     SURE_LOGIT,
@@ -33,10 +34,8 @@ from depthmocap.segment.person_tracks import PersonTrack, PersonTracker, Votes, 
 #: Neighbouring pixels whose depths differ by less than this (metres) show one surface.
 STEP_M = 0.1
 #: What continues somebody's surface before the empty scene is theirs, too, if its logit is above this, so far from what
-#: the network found (metres): hands and feet;
+#: the network found (metres): hands and feet.
 GROW_LOGIT, GROW_M = -5.0, 0.35
-#: and above this where the empty scene is not known.
-GROW_UNKNOWN_LOGIT = -3.0
 #: Somebody is certain to be a person after some sets; so many first sets of a recording are seen before it begins.
 _SETS_BEFORE = 8
 #: Where the empty scene is known, the network sees the whole picture in one of so many sets, in the others a part.
@@ -152,10 +151,12 @@ class NetworkSegmenter:
             now_s,
         )  # fmt: skip
         self._learn(frames, depths, detected)
-        return tuple(
-            PersonMasks(track.number, tuple(image == track.label for image in images))
-            for track in self._select([view.camera for view in views])
-        )
+        mix_ups, people = find_mix_ups(self._tracker.active), []
+        for track in self._select([view.camera for view in views]):
+            mix_up = mix_ups.get(track.number, CERTAIN)
+            masks = tuple(image == track.label for image in images)
+            people.append(PersonMasks(track.number, masks, mix_up.others, mix_up.doubt))
+        return tuple(people)
 
     def _grid(self, view: View) -> DepthGrid:
         name = view.camera.name
@@ -290,9 +291,8 @@ def _paint(
         limit_m = np.broadcast_to(limit_m, depth_m.shape)
     grid = detected.grid
     grow_people(
-        detected.samples_m, detected.limit_m, detected.logits, GROW_LOGIT, GROW_UNKNOWN_LOGIT, STEP_M, GROW_M,
-        SAMPLE_RAD, of_samples,
-    )  # fmt: skip
+        detected.samples_m, detected.limit_m, detected.logits, GROW_LOGIT, STEP_M, GROW_M, SAMPLE_RAD, of_samples
+    )
     paint_people(
         depth_m, limit_m, grid.row_starts, grid.column_starts, detected.samples_m, of_samples, beyond, STEP_M, out
     )

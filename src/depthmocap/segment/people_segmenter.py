@@ -31,10 +31,19 @@ _DIVIDED = 255
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PersonMasks:
-    """A person's number (from 1; it stays the same over time) and mask in every view of a frame set."""
+    """A person in a frame set.
+
+    Attributes:
+        number: from 1; it stays the same over time.
+        masks: in every view.
+        mistakable: numbers of those from whom the person cannot be told apart now.
+        doubt: probability that the number is one of theirs.
+    """
 
     number: int
     masks: tuple[Bool[ndarray, "_ _"], ...]
+    mistakable: tuple[int, ...] = ()
+    doubt: float = 0.0
 
 
 class PeopleSegmenter:

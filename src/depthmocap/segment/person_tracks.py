@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from depthmocap.kernels.people_votes import assign_votes, densest_vote
-from depthmocap.segment.departed import AWAY_S, Departed, match_place, match_stature, may_match
+from depthmocap.segment.departed import AWAY_S, Departed, alike, match_place, match_stature, may_match
 
 #: Votes within this distance of a centre are for it (metres): a centre is known to some 10 cm, from limbs to 30 cm.
 REACH_M = 0.55
@@ -98,6 +98,7 @@ class PersonTrack:
         born_alone: whether nobody was known near where it began: it is nobody's part.
         sets, missed_sets: in how many sets it was seen, and in how many it has been hidden since.
         statures_m: measured while the person was upright and in full view.
+        perhaps: in the set in which it got a new number: numbers of people as tall, who are away.
     """
 
     label: int
@@ -118,6 +119,7 @@ class PersonTrack:
     predicted_m: Float[ndarray, "3"] = dataclasses.field(default_factory=lambda: np.zeros(3))
     statures_m: list[float] = dataclasses.field(default_factory=list)
     measured_s: float = -np.inf
+    perhaps: tuple[int, ...] = ()
 
     def predict(self, now_s: float) -> None:
         """Predict the centre at constant velocity."""
@@ -195,6 +197,7 @@ class PersonTracker:
         """
         for track in self.active:
             track.predict(now_s)
+            track.perhaps = ()
         centres = np.array([track.predicted_m for track in self.active], np.float32).reshape(-1, 3)
         owners, sums, centres = _cluster(votes, centres)
         taken = {track.label for track in self.active}
@@ -279,6 +282,7 @@ class PersonTracker:
         if match is None:
             self._last_number += 1
             track.number = self._last_number
+            track.perhaps = alike(self._departed, track.stature_m)
         else:
             self._departed.remove(match)
             track.number = match.number

@@ -85,6 +85,17 @@ class PersonSegmenter:
             segmenter._estimate(name, views)
         return segmenter
 
+    @property
+    def doubtful(self) -> set[str]:
+        """Cameras whose estimated empty scene may hold the person, who rarely shows before it."""
+        return set(self._full_body_shares)
+
+    def scaled(self, name: str, factor: float) -> PersonSegmenter:
+        """The segmenter of one camera for depths that are all larger by a factor."""
+        if name not in self.backgrounds_m:
+            return self
+        return PersonSegmenter({name: self.backgrounds_m[name] * np.float32(factor)}, self.mode)
+
     def __call__(self, view: View) -> Bool[ndarray, "h w"]:
         """The person's mask; all False when nobody is there.
 
