@@ -165,6 +165,20 @@ def test_nobody_is_measured_whose_head_may_be_cut_off(rng):
     assert np.isnan(tracker.active[0].stature_m)
 
 
+def test_a_thing_that_moved_and_stands_again_is_nobody_soon(rng):
+    tracker, now_s = PersonTracker(), 0.0
+    for i in range(RATE * 4):
+        moving, now_s = i < RATE, i / RATE
+        certainty = 0.3 if moving else 0.08
+        votes = person(rng, min(now_s, 1.0), 0.0, certainty=certainty, area=0.12, before=True)
+        tracker.update(joined(votes, person(rng, -2.0, 0.0)), now_s)
+        if i == RATE:
+            assert len(numbers(tracker)) == 2
+    assert numbers(tracker) == [1]
+    tracker.update(joined(person(rng, 1.0, 0.0, area=0.8), person(rng, -2.0, 0.0)), now_s + 0.1)
+    assert not tracker._departed  # nobody is waited for
+
+
 def test_twenty_people_have_twenty_numbers_and_keep_them(rng):
     tracker, where = PersonTracker(), {}
     for i in range(RATE * 2):

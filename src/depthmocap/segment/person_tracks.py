@@ -53,6 +53,8 @@ BEFORE, BEFORE_CERTAINTY = 0.7, 0.35
 MOVED_BEFORE_CERTAINTY = 0.12
 #: A track unseen for this time ends (seconds); one that is no person yet ends sooner.
 GONE_S, UNBORN_S = 1.0, 0.3
+#: So does one that is seen, but shows less than this (m²) with less certainty than this: a chair that was pushed.
+UNSURE_M2, UNSURE_CERTAINTY = 0.2, 0.2
 #: What appears this near to somebody (metres) may be a limb that votes for itself: it needs this time (seconds) and
 #: this surface (m²) to be another person.
 BESIDE_M, BESIDE_S, BESIDE_M2 = 1.3, 0.6, 0.3
@@ -98,6 +100,7 @@ class PersonTrack:
         born_alone: whether nobody was known near where it began: it is nobody's part.
         sets, missed_sets: in how many sets it was seen, and in how many it has been hidden since.
         statures_m: measured while the person was upright and in full view.
+        sure_s: when it last showed much, or something certain.
         perhaps: in the set in which it got a new number: numbers of people as tall, who are away.
     """
 
@@ -120,6 +123,7 @@ class PersonTrack:
     statures_m: list[float] = dataclasses.field(default_factory=list)
     measured_s: float = -np.inf
     perhaps: tuple[int, ...] = ()
+    sure_s: float = 0.0
 
     def predict(self, now_s: float) -> None:
         """Predict the centre at constant velocity."""
@@ -139,6 +143,8 @@ class PersonTrack:
         self.certainty += share * (certainty - self.certainty)
         self.before += share * (before - self.before)
         self.area_m2, self.last_seen_s = area_m2, now_s
+        if area_m2 > UNSURE_M2 or self.certainty > UNSURE_CERTAINTY:
+            self.sure_s = now_s
         self.sets, self.missed_sets = self.sets + 1, 0
 
     def add_probability(self, probability: float) -> None:
@@ -209,6 +215,7 @@ class PersonTracker:
                     centre.astype(float),
                     now_s,
                     last_seen_s=now_s,
+                    sure_s=now_s,
                     predicted_m=centre.astype(float),
                     start_m=centre.astype(float),
                     apart_s=now_s - 1e-6,
@@ -248,7 +255,10 @@ class PersonTracker:
             if not any(_is_same(track, other, votes) for other in kept):
                 track.apart_s = now_s
             same = track.apart_s < now_s and (now_s - track.start_s < SAME_S or now_s - track.apart_s > DOUBLE_S)
+            unsure = track.last_seen_s - track.sure_s > GONE_S and np.isnan(track.stature_m)
             gone = unseen_s > GONE_S if track.number else unseen_s > UNBORN_S and track.missed_sets > 1
+            if track.number and unsure:
+                continue  # it never was a person
             if gone or same:
                 if track.number and (track.born_alone or not same):
                     stature = track.stature_m
