@@ -9,6 +9,7 @@ import numpy as np
 from depthmocap.frames import FrameSet, View
 from depthmocap.segment.network_segmenter import NetworkSegmenter
 from depthmocap.segment.people_detector import PeopleDetector
+from depthmocap.segment.people_segmenter import PersonMasks
 
 #: A set is shown so often, so far apart in time (ns), that everybody certain is told of, and so many at most.
 _TIMES, _APART_NS, _PEOPLE = 3, 100_000_000, 8
@@ -17,7 +18,8 @@ _TIMES, _APART_NS, _PEOPLE = 3, 100_000_000, 8
 def with_found_masks(views: tuple[View, ...], detector: PeopleDetector) -> tuple[View, ...]:
     """The views with the masks of the one found who overlaps most with the true ones; empty masks where nobody is."""
     segmenter = NetworkSegmenter({}, people=_PEOPLE, background=False, detector=detector)
-    bare, people = tuple(View(view.camera, view.depth_m) for view in views), ()
+    bare = tuple(View(view.camera, view.depth_m) for view in views)
+    people: tuple[PersonMasks, ...] = ()
     for i in range(_TIMES):
         people = segmenter(FrameSet(i * _APART_NS, bare))
     true = [np.zeros(view.depth_m.shape, np.bool_) if view.mask is None else view.mask for view in views]

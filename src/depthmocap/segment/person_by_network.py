@@ -11,6 +11,7 @@ from numpy import ndarray
 from depthmocap.frames import FrameSet, View
 from depthmocap.segment.network_segmenter import NetworkSegmenter
 from depthmocap.segment.people_detector import PeopleDetector
+from depthmocap.segment.people_segmenter import PersonMasks
 from depthmocap.segment.static_scene import Mode, PersonSegmenter
 
 #: A view is shown so often, so far apart in time (ns), that somebody certain is told of.
@@ -31,7 +32,7 @@ class PersonByNetwork(PersonSegmenter):
             return super().__call__(view)
         self._detector = self._detector or PeopleDetector()
         segmenter = NetworkSegmenter({}, background=False, detector=self._detector)
-        people = ()
+        people: tuple[PersonMasks, ...] = ()
         for i in range(_TIMES):
             people = segmenter(FrameSet(i * _APART_NS, (view,)))
         return people[0].masks[0] if people else np.zeros(view.depth_m.shape, np.bool_)
