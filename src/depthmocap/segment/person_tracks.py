@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from depthmocap.kernels.people_votes import assign_votes, densest_vote
-from depthmocap.segment.departed import AWAY_S, Departed, alike, match_place, match_stature, may_match
+from depthmocap.segment.departed import AWAY_S, HIDDEN_S, Departed, alike, match_place, match_stature, may_match
 
 #: Votes within this distance of a centre are for it (metres): a centre is known to some 10 cm, from limbs to 30 cm.
 REACH_M = 0.55
@@ -190,6 +190,8 @@ class PersonTracker:
     def __init__(self) -> None:
         self.active: list[PersonTrack] = []
         self._departed: list[Departed] = []
+        #: Who was told of without certainty: known again by the place alone, and waited for by nobody.
+        self._unsure: list[Departed] = []
         self._last_number = 0
 
     def update(
@@ -258,7 +260,8 @@ class PersonTracker:
             unsure = track.last_seen_s - track.sure_s > GONE_S and np.isnan(track.stature_m)
             gone = unseen_s > GONE_S if track.number else unseen_s > UNBORN_S and track.missed_sets > 1
             if track.number and unsure:
-                continue  # it never was a person
+                self._unsure.append(Departed(track.number, np.nan, 0.0, track.centre_m, now_s))
+                continue
             if gone or same:
                 if track.number and (track.born_alone or not same):
                     stature = track.stature_m
@@ -268,6 +271,7 @@ class PersonTracker:
                 kept.append(track)
         self.active = kept
         self._departed = [away for away in self._departed if now_s - away.last_seen_s < AWAY_S]
+        self._unsure = [away for away in self._unsure if now_s - away.last_seen_s < HIDDEN_S]
 
     def _identify(self, track: PersonTrack, now_s: float) -> None:
         """Give a track a number once it is certain to be a person."""
@@ -282,7 +286,7 @@ class PersonTracker:
         at_once = track.area_m2 > AT_ONCE_M2 and track.certainty > AT_ONCE_CERTAINTY
         if ((track.sets < SETS_NEEDED or age_s < CERTAIN_S) and not at_once) or track.certainty < needed:
             return
-        match = match_place(self._departed, track.centre_m, track.stature_m, now_s)
+        match = match_place([*self._departed, *self._unsure], track.centre_m, track.stature_m, now_s)
         if match is not None and np.isnan(track.stature_m) and match.stature_m > 0 and age_s < PLACE_S:
             return  # somebody else may come in where another has just left
         if match is None:
@@ -294,7 +298,7 @@ class PersonTracker:
             track.number = self._last_number
             track.perhaps = alike(self._departed, track.stature_m)
         else:
-            self._departed.remove(match)
+            (self._departed if match in self._departed else self._unsure).remove(match)
             track.number = match.number
 
 
