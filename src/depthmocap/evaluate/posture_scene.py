@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 from scipy.ndimage import gaussian_filter1d
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.evaluate.posture_scenarios import ONE_CAMERA, PostureScenario
@@ -111,7 +111,7 @@ class PostureScene(ScenarioScene):
         if self._act != "in bed" or person is None:
             return None
         blanket = blanket_over(np.random.default_rng(self._blanket_seed), person)
-        distances, _ = cKDTree(person.vertices).query(blanket.vertices[blanket.faces].mean(1))
+        distances, _ = KDTree(person.vertices).query(blanket.vertices[blanket.faces].mean(1))
         return Cover(blanket, distances < _ON_PERSON_M)
 
 
