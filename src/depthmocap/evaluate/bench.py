@@ -97,6 +97,8 @@ def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) ->
     console = console or Terminal(stderr=True)
     if not (0 <= settings.misplaced_mm < np.inf and 0 <= settings.misplaced_deg <= 180):
         raise InputError("--misplaced-mm must be at least 0 and --misplaced-deg from 0 to 180")
+    if settings.masks == "network" and settings.labels == "true":
+        raise InputError("--masks network goes with --labels network: true labels are of the true masks")
     unknown = [name for name in settings.sets if name not in BENCH]
     if unknown or not settings.sets or settings.samples < 1:
         raise InputError(f"--sets takes {', '.join(map(repr, BENCH))} and --samples at least 1; got {settings.sets}")
