@@ -218,11 +218,12 @@ def test_nobody_for_an_hour_then_somebody_is_found_at_once(dressed):
     segment = NetworkSegmenter({}, people=2)
     for i in range(0, 3600, 20):
         assert segment(dataclasses.replace(room, timestamp_ns=i * 10**9)) == ()
-    people: tuple[PersonMasks, ...] = ()
+    people: list[PersonMasks] = []
     for i in range(4):
-        people = segment(dataclasses.replace(inside, timestamp_ns=3600 * 10**9 + i * 10**8))
-    assert [person.number for person in people] == [1]
-    assert overlap(people[0].masks, masks[0]) > 0.75
+        people = list(segment(dataclasses.replace(inside, timestamp_ns=3600 * 10**9 + i * 10**8)))
+    (person,) = people
+    assert person.number == 1
+    assert overlap(person.masks, masks[0]) > 0.75
 
 
 def test_views_with_masks_keep_them():
