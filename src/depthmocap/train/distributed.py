@@ -14,7 +14,7 @@ import datetime
 import functools
 import os
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, ClassVar, Concatenate, ParamSpec, Protocol, TypeVar
 
 import torch
 from torch import distributed as dist
@@ -23,11 +23,12 @@ from torch import nn
 from depthmocap.core.locks import locks_outputs
 from depthmocap.errors import InputError
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
+
+class _Dataclass(Protocol):
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
 
-_Settings = TypeVar("_Settings", bound="DataclassInstance")
+_Settings = TypeVar("_Settings", bound=_Dataclass)
 _More = ParamSpec("_More")
 _Result = TypeVar("_Result")
 
