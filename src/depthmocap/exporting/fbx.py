@@ -41,7 +41,9 @@ def write_fbx(path: Path, take: ExportedTake, settings: FileSettings) -> None:
         glb.write_bytes(glb_bytes(take, settings, vanishing=False))
         command = [python, str(_PROGRAM), str(glb), str(fbx), repr(1 / frames.frame_s), str(frames.count)]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=_LONGEST_S)
+            done = subprocess.run(
+                command, capture_output=True, encoding="utf-8", errors="replace", timeout=_LONGEST_S, check=False
+            )
         except (OSError, subprocess.TimeoutExpired) as error:
             raise InputError(f"Blender's module cannot be run by {python}: {error}") from None
         if done.returncode or not fbx.is_file():

@@ -14,7 +14,7 @@ import datetime
 import functools
 import os
 from collections.abc import Callable, Iterator
-from typing import Any, ClassVar, Concatenate, ParamSpec, Protocol, TypeVar
+from typing import Any, ClassVar, Concatenate, ParamSpec, Protocol, TypeVar, runtime_checkable
 
 import torch
 from torch import distributed as dist
@@ -24,6 +24,7 @@ from depthmocap.core.locks import locks_outputs
 from depthmocap.errors import InputError
 
 
+@runtime_checkable
 class _Dataclass(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
@@ -84,7 +85,7 @@ def trains(
     locked = locks_outputs(folder="out")(command)
 
     @functools.wraps(command)
-    def run(settings: _Settings, *more: _More.args, **others: _More.kwargs) -> _Result:
+    def run(settings: _Settings, *more: Any, **others: Any) -> _Result:
         device = getattr(settings, "device", "cpu")
         with process_group(device):
             if (own := _device_of_process(device)) != device:
