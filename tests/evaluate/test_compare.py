@@ -125,7 +125,8 @@ def test_files_of_an_evaluation(tmp_path):
     document = json.loads(made.read_text())
     assert document["none"]["mean_joint_error_cm"] is None
     assert document["seen"]["reliability"] == {
-        "confidence": [0.75], "within_10cm": [1.0], "beyond_20cm": [0.0], "joints": [72], "calibration_error": 0.25,
+        "confidence": [0.75], "within_10cm": [1.0], "beyond_20cm": [0.0], "joints": [72],
+        "error_cm": [4.0], "expected_error_cm": [9.0], "calibration_error": 0.25,
     }  # fmt: skip
     rows = list(csv.reader(table.read_text().splitlines()))
     assert rows[1] == ["seen", "Head", "4.0000", "0.0000", "1.0000"]
