@@ -80,6 +80,7 @@ def test_labels_are_turned_where_the_odds_say_so(samples: list[Sample], monkeypa
     view = samples[0].views[0]
     assert view.mask is not None
     monkeypatch.setattr(module, "_SURE_OF_FRONT", 2.0)
+    monkeypatch.setattr(module, "_FEWEST_LOWER_LEGS", 2.0)  # as of somebody cut off
     plain = Classifier(threads=1, fronts=False).label_mask(view, view.mask)
     assert plain.window is not None
     assert plain.window_prediction is not None
@@ -94,15 +95,27 @@ def test_labels_are_turned_where_the_odds_say_so(samples: list[Sample], monkeypa
         np.testing.assert_allclose(given.joints, joints if sign > 0 else joints[MIRROR])
 
 
-def test_sure_labels_are_not_asked(samples: list[Sample], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sure_labels_and_whole_people_are_not_asked_about(
+    samples: list[Sample], monkeypatch: pytest.MonkeyPatch
+) -> None:
     def asked(window: Window) -> np.ndarray:
         raise AssertionError
 
     monkeypatch.setattr(module, "FrontNetwork", lambda: asked)
-    monkeypatch.setattr(module, "_SURE_OF_FRONT", 0.0)
     view = samples[0].views[0]
     assert view.mask is not None
-    assert Classifier(threads=1).label_mask(view, view.mask).prediction.front_log_odds == 5
+    monkeypatch.setattr(module, "_SURE_OF_FRONT", 2.0)
+    with monkeypatch.context() as whole:
+        whole.setattr(module, "_FEWEST_LOWER_LEGS", 0.0)
+        whole.setattr(module, "_LEAST_FACING", 0.0)
+        assert np.isnan(Classifier(threads=1).label_mask(view, view.mask).prediction.front_log_odds)
+    rows = np.flatnonzero(view.mask.any(1))
+    upper_half = view.mask.copy()
+    upper_half[(rows[0] + rows[-1]) // 2 :] = False
+    with pytest.raises(AssertionError):
+        Classifier(threads=1).label_mask(view, upper_half)
+    monkeypatch.setattr(module, "_SURE_OF_FRONT", 0.0)
+    assert Classifier(threads=1).label_mask(view, upper_half).prediction.front_log_odds == 5
 
 
 def test_sides_that_are_not_known_are_told(samples: list[Sample]) -> None:

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
 from depthmocap.body.regions import MIRROR as MIRRORED_REGIONS
-from depthmocap.body.regions import TURNED
+from depthmocap.body.regions import REGION_NAMES, TURNED
 from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.body.trunk import front_of_trunk
 from depthmocap.classify.front import FrontNetwork, front_of_labels, log_odds
@@ -38,8 +38,14 @@ _READERS = {"fast": label_groups, "paper": label_dense_pixels}
 
 #: Labels that a front and a back have in different places: those of the trunk and the head.
 _FACING = TURNED != MIRRORED_REGIONS
-#: Where these have a mean probability above this, front and back are hardly ever mistaken for each other: the second
-#: network is not asked,
+#: Labels of legs below the thighs.
+_LOWER_LEGS = np.array([name[:-2] in ("knee", "shin", "ankle", "forefoot") for name in REGION_NAMES])
+#: The second network is asked about people who are cut off: less than these shares of their pixels are lower legs,
+_FEWEST_LOWER_LEGS = 0.05
+#: or trunk and head.
+_LEAST_FACING = 0.15
+#: But where the labels of trunk and head have a mean probability above this, front and back are hardly ever mistaken
+#: for each other: it is not asked,
 _SURE_OF_FRONT = 0.76
 #: and these are the log odds.
 _SURE_LOG_ODDS = 5.0
@@ -164,7 +170,10 @@ class Classifier:
         prediction = WindowPrediction(labels, confidence, joints)
         if self._front is None:
             return prediction
-        facing = confidence[_FACING[labels]]
+        labelled, facing = max(int(np.count_nonzero(labels)), 1), confidence[_FACING[labels]]
+        lower_legs = int(np.count_nonzero(_LOWER_LEGS[labels]))
+        if lower_legs >= _FEWEST_LOWER_LEGS * labelled and len(facing) >= _LEAST_FACING * labelled:
+            return prediction  # of whole people the labels tell it as well, and each view by itself
         if len(facing) and facing.mean() > _SURE_OF_FRONT:
             return prediction._replace(front_log_odds=_SURE_LOG_ODDS)
         return _facing_right(prediction, window, self._front(window))

@@ -74,10 +74,10 @@ def _mean_distance(joints: Float[ndarray, "18 4"], reference: Float[ndarray, "18
 
 
 def _sureness(part: LabelledView) -> float:
-    """How sure a view is of left and right, as log odds."""
-    if np.isfinite(part.front_log_odds):
-        return part.front_log_odds
+    """How sure a view is of left and right, as log odds: not surer than its labels, nor than of its front."""
     labelled = (part.labels > 0) & (part.labels < len(TURNED))
     if part.weights is None or not labelled.any():
-        return _LOG_ODDS * _LEAST_CONFIDENCE
-    return _LOG_ODDS * max(float(part.weights[labelled].mean()) - CHANCE, _LEAST_CONFIDENCE)
+        of_labels = _LEAST_CONFIDENCE
+    else:
+        of_labels = max(float(part.weights[labelled].mean()) - CHANCE, _LEAST_CONFIDENCE)
+    return float(np.nanmin([_LOG_ODDS * of_labels, part.front_log_odds]))
