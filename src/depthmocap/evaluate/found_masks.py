@@ -6,22 +6,17 @@ import dataclasses
 
 import numpy as np
 
-from depthmocap.frames import FrameSet, View
-from depthmocap.segment.network_segmenter import NetworkSegmenter
+from depthmocap.frames import View
 from depthmocap.segment.people_detector import PeopleDetector
-from depthmocap.segment.people_segmenter import PersonMasks
+from depthmocap.segment.person_by_network import people_at_once
 
-#: A set is shown so often, so far apart in time (ns), that everybody certain is told of, and so many at most.
-_TIMES, _APART_NS, _PEOPLE = 3, 100_000_000, 8
+#: So many people are told of at most.
+_PEOPLE = 8
 
 
 def with_found_masks(views: tuple[View, ...], detector: PeopleDetector) -> tuple[View, ...]:
     """The views with the masks of the one found who overlaps most with the true ones; empty masks where nobody is."""
-    segmenter = NetworkSegmenter({}, people=_PEOPLE, background=False, detector=detector)
-    bare = tuple(View(view.camera, view.depth_m) for view in views)
-    people: tuple[PersonMasks, ...] = ()
-    for i in range(_TIMES):
-        people = segmenter(FrameSet(i * _APART_NS, bare))
+    people = people_at_once(tuple(View(view.camera, view.depth_m) for view in views), detector, _PEOPLE)
     true = [np.zeros(view.depth_m.shape, np.bool_) if view.mask is None else view.mask for view in views]
     best, most = [np.zeros_like(mask) for mask in true], 0.0
     for person in people:

@@ -14,8 +14,17 @@ from depthmocap.segment.people_detector import PeopleDetector
 from depthmocap.segment.people_segmenter import PersonMasks
 from depthmocap.segment.static_scene import Mode, PersonSegmenter
 
-#: A view is shown so often, so far apart in time (ns), that somebody certain is told of.
+#: Views are shown so often, so far apart in time (ns), that everybody certain is told of.
 _TIMES, _APART_NS = 3, 100_000_000
+
+
+def people_at_once(views: tuple[View, ...], detector: PeopleDetector, people: int = 1) -> tuple[PersonMasks, ...]:
+    """The people, at most so many, whom the network finds in one set of views by itself, without an empty scene."""
+    segmenter = NetworkSegmenter({}, people=people, background=False, detector=detector)
+    found: tuple[PersonMasks, ...] = ()
+    for i in range(_TIMES):
+        found = segmenter(FrameSet(i * _APART_NS, views))
+    return found
 
 
 class PersonByNetwork(PersonSegmenter):
@@ -31,10 +40,7 @@ class PersonByNetwork(PersonSegmenter):
         if view.mask is not None or view.camera.name not in self.doubtful:
             return super().__call__(view)
         self._detector = self._detector or PeopleDetector()
-        segmenter = NetworkSegmenter({}, background=False, detector=self._detector)
-        people: tuple[PersonMasks, ...] = ()
-        for i in range(_TIMES):
-            people = segmenter(FrameSet(i * _APART_NS, (view,)))
+        people = people_at_once((view,), self._detector)
         return people[0].masks[0] if people else np.zeros(view.depth_m.shape, np.bool_)
 
     def scaled(self, name: str, factor: float) -> PersonSegmenter:
