@@ -19,7 +19,7 @@ from numpy import ndarray
 from depthmocap.classify.classifier import ViewPrediction
 from depthmocap.core.network_devices import NetworkDevices
 from depthmocap.frames import FrameSet, Pose, View
-from depthmocap.pose.cloud import LabelledCloud, merge_views
+from depthmocap.pose.cloud import LabelledCloud, merge_agreeing_views, merge_views
 from depthmocap.pose.estimators import JointEstimator
 from depthmocap.pose.front_memory import FrontMemory
 from depthmocap.pose.labelled_view import LabelledView
@@ -211,7 +211,7 @@ class Pipeline:
             return merge_views(parts)
         now_ns = frames.timestamp_ns
         self._fronts = {n: memory for n, memory in self._fronts.items() if memory.knows(now_ns)}
-        return merge_views(self._fronts.setdefault(number, FrontMemory())(parts, now_ns))
+        return merge_agreeing_views(self._fronts.setdefault(number, FrontMemory())(parts, now_ns))
 
     def _gone(self, now_ns: int) -> dict[int, list[Pose]]:
         """What filters held back of people whom they forget, by number; a filter begins anew when somebody returns."""

@@ -51,13 +51,23 @@ class LabelledCloud:
 def merge_views(parts: Sequence[LabelledView]) -> LabelledCloud:
     """Labelled pixels of all views as world points, view after view in row-major order.
 
-    Mirrored views are corrected first (``mirrored.undo_mirrored``). Pixels without a finite depth above 0, and those
-    with a label other than 1–43 (background 0, unknown 255), are left out.
+    Mirrored views are corrected first (``mirrored.undo_mirrored``); :func:`merge_agreeing_views` leaves that out.
+
+    Raises:
+        InputError: as :func:`merge_agreeing_views`.
+    """
+    return merge_agreeing_views(undo_mirrored(parts))
+
+
+def merge_agreeing_views(parts: Sequence[LabelledView]) -> LabelledCloud:
+    """Labelled pixels of views of which none is mirrored against another, as of :func:`merge_views`.
+
+    Pixels without a finite depth above 0, and those with a label other than 1–43 (background 0, unknown 255), are left
+    out.
 
     Raises:
         InputError: when the depth, labels, weights or (for a lens with distortion) camera of a view differ in shape.
     """
-    parts = undo_mirrored(parts)
     capacity = sum(int(np.count_nonzero(part.labels)) for part in parts)
     points_world = np.empty((capacity, 3), np.float32)
     all_labels, all_weights = np.empty(capacity, np.uint8), np.empty(capacity, np.float32)
