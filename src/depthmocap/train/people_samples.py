@@ -34,9 +34,11 @@ VIEWS, READINGS = 10, 2
 _RANDOM_ERRORS = 0.5
 #: Dressed bodies kept to appear again in other postures: to dress somebody takes longer than to pose them.
 _KEPT, _AGAIN = 12, 0.7
-#: Share of bodies that are small children's.
-_INFANTS = 0.2
-#: Children smaller than this (metres) lie on the floor more often than in recordings, with this probability.
+#: Share of bodies that are small children's, and of those less than about a year old among them.
+_INFANTS, _BABIES = 0.2, 0.4
+#: Share of people who lie, besides those of recordings.
+_LIE = 0.15
+#: Children smaller than this (metres) lie more often, with this probability.
 _INFANT_M, _INFANTS_LIE = 0.95, 0.7
 #: Target of samples without depth.
 IGNORED = 255
@@ -87,7 +89,7 @@ class PeopleScenes:
             self._bodies = [*self._bodies[1 - _KEPT :], body]
         body = self._bodies[int(rng.integers(len(self._bodies)))]
         posture = self._postures.sample(rng)[0]
-        if _height_m(body) < _INFANT_M and rng.random() < _INFANTS_LIE:
+        if rng.random() < (_INFANTS_LIE if _height_m(body) < _INFANT_M else _LIE):
             posture = rest_on_floor(posture, rng)
         return pose_in_clothes(body, posture, rng)
 
@@ -98,7 +100,7 @@ def _height_m(dressed: DressedBody) -> float:
 
 def _infant(rng: np.random.Generator) -> DressedBody:
     """A child of less than about a metre."""
-    phenotype = dataclasses.replace(random_phenotype(rng), age=float(rng.uniform(0, 0.2)))
+    phenotype = dataclasses.replace(random_phenotype(rng), age=float(rng.uniform(0, 0.06 if rng.random() < _BABIES else 0.2)))
     return clothe(BodyModel.load().shape(phenotype), random_clothes(rng, False, phenotype.gender), rng)
 
 

@@ -34,11 +34,11 @@ _BESIDE = 0.6
 #: People stand within this distance of the room's middle (metres).
 _ABOUT_M = 2.5
 #: Share of lying people who lie on a bed, a couch or a mat.
-_ON_BED = 0.6
+_ON_BED = 0.75
 #: Share of seated people with a table before them.
 _AT_TABLE = 0.5
 #: Share of people in bed who are under a blanket.
-_UNDER_BLANKET = 0.4
+_UNDER_BLANKET = 0.6
 #: Share of people half of whom is behind the end of a wall, as in a doorway.
 _IN_DOORWAY = 0.1
 #: Cloth shows the person beneath if it lies no farther from the body than this (metres).
@@ -47,6 +47,10 @@ COVER_M = 0.15
 _WHEELCHAIR = 0.15
 #: A person lies if the body is lower than this (metres, of an adult) and this much longer than high.
 _LYING_M, _LYING = 0.75, 1.6
+#: Walls are so far from the middle of a room, and of a large one (metres); share of large rooms.
+_WALLS_M, _FAR_WALLS_M, _LARGE = (1.5, 4.0), (3.0, 7.0), 0.35
+#: Cameras near by, far away and otherwise: share and distance from what they look at (metres), within their range.
+_DISTANCES = ((0.2, (0.5, 1.5)), (0.25, (4.0, 8.5)), (0.55, (1.5, 7.0)))
 #: Least distance of a camera from everybody's skin and from the room's walls (metres).
 _CLEARANCE_M = 0.3
 #: A person's number in a picture's code times this, plus the material.
@@ -106,8 +110,9 @@ class PopulatedScene:
                 target = joint + rng.normal(0, 0.35, 3)
             else:
                 target = rng.uniform(self.low, self.high) * [1, 1, 0.6]
-            near = rng.random() < 0.2
-            distance = rng.uniform(0.5, 1.5) if near else rng.uniform(1.5, min(max(reach - 0.3, 1.8), 7.0))
+            nearest, farthest = _DISTANCES[int(rng.choice(len(_DISTANCES), p=[share for share, _ in _DISTANCES]))][1]
+            farthest = min(farthest, max(reach - 0.3, 1.8))
+            distance = rng.uniform(min(nearest, 0.7 * farthest), farthest)
             azimuth, height = rng.uniform(-np.pi, np.pi), rng.uniform(0.15, 2.7)
             down = np.clip(height - target[2], -0.95 * distance, 0.95 * distance)
             ground = np.sqrt(distance**2 - down**2)
@@ -188,7 +193,7 @@ def populated_scene(
         if rng.random() < 0.3:
             objects.append(held_object(rng, person, 0.0))
     dolls = _dolls(rng, draw_person) if draw_person and rng.random() < 0.08 else ()
-    shell = room_shell(rng, place, (1.5, 4.0)) if rng.random() < 0.92 else NONE
+    shell = room_shell(rng, place, _FAR_WALLS_M if rng.random() < _LARGE else _WALLS_M) if rng.random() < 0.92 else NONE
     corners = shell.corners.reshape(-1, 3) if len(shell) else np.array([[-5.0, -5.0, 0.0], [5.0, 5.0, 3.0]])
     low, high = corners.min(0), corners.max(0)
     pieces: list[Solids] = []
