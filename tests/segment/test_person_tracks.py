@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from depthmocap.segment.person_tracks import PersonTracker, Votes, measure_statures
+from depthmocap.segment.person_tracks import PersonTracker, measure_statures
+from depthmocap.segment.vote_clusters import Votes
 
 RATE = 15
 

@@ -20,14 +20,22 @@ from depthmocap.analysis.toe_off import last_crossing, toe_off_frame
 
 #: Share of the swing's peak speed at heel strike.
 _HEEL_STRIKE = 0.22
-#: Slowest peak of a swing (m/s), and the least time from one to the next (s).
-_SLOWEST_MPS, _APART_S = 0.5, 0.3
+#: Slowest peak of a swing (m/s).
+_SLOWEST_MPS = 0.5
+#: Least time from one peak to the next (s).
+_APART_S = 0.3
 #: Between two swings the ankle slows down to less than this share of the lower peak.
 _DIP = 0.5
-#: A swing goes at least so far (m), and lasts at most so long (s).
-_SHORTEST_M, _LONGEST_SWING_S = 0.12, 1.2
-#: The foot stands flat from so long after heel strike, for up to so long or this share of the stance (s).
-_LANDED_S, _FLAT_S, _FLAT_SHARE = 0.1, 0.35, 0.6
+#: A swing goes at least so far (m),
+_SHORTEST_M = 0.12
+#: and lasts at most so long (s).
+_LONGEST_SWING_S = 1.2
+#: The foot stands flat from so long after heel strike (s),
+_LANDED_S = 0.1
+#: for up to so long (s)
+_FLAT_S = 0.35
+#: or this share of the stance.
+_FLAT_SHARE = 0.6
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

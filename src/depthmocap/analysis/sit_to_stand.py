@@ -12,14 +12,20 @@ from numpy import ndarray
 
 from depthmocap.analysis.steady_joints import SteadyJoints
 
-#: Inclination of the thighs from the vertical of somebody who sits at least, and who stands at most (degrees).
-_SEATED, _UPRIGHT = 55.0, 30.0
+#: Least inclination of the thighs of somebody who sits from the vertical (degrees).
+_SEATED = 55.0
+#: Largest one of somebody who stands (degrees).
+_UPRIGHT = 30.0
 #: The hips' way is followed for so long before and after the thighs turn (s).
 _AROUND_S = 1.5
-#: A transfer is from the first to the last of these shares of the hips' rise.
-_FROM, _TO = 0.1, 0.9
-#: Least rise of the hips (m), longest turn of the thighs (s).
-_LEAST_RISE_M, _LONGEST_S = 0.12, 5.0
+#: A transfer is from this share of the hips' rise
+_FROM = 0.1
+#: to this one.
+_TO = 0.9
+#: Least rise of the hips (m).
+_LEAST_RISE_M = 0.12
+#: Longest turn of the thighs (s).
+_LONGEST_S = 5.0
 
 Kind = Literal["sit_to_stand", "stand_to_sit"]
 

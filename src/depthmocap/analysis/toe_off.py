@@ -18,8 +18,12 @@ from depthmocap.analysis.steady_joints import SteadyJoints
 from depthmocap.core.reading.array_files import ArrayType, read_npz
 
 _FILE = Path(__file__).with_name("toe_off.npz")
-#: Shares of the swing's peak speed whose times are told, the one that they are told from, and that after the peak.
-_SHARES, _HALF, _LANDING = (0.2, 0.3, 0.4, 0.6, 0.7, 0.8, 0.9), 0.5, 0.22
+#: Shares of the swing's peak speed whose times are told,
+_SHARES = (0.2, 0.3, 0.4, 0.6, 0.7, 0.8, 0.9)
+#: the one that they are told from,
+_HALF = 0.5
+#: and the one after the peak that the last is told to.
+_LANDING = 0.22
 #: A speed (m/s) whose time is told too.
 _FAST_MPS = 1.0
 #: Peaks of other courses are looked for from so long before half of the peak speed on (s).

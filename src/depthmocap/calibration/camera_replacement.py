@@ -21,12 +21,18 @@ from depthmocap.text import camera_list
 
 #: Joints of each camera in its own frame, with their expected error (metres), at a time (seconds).
 Moment = tuple[float, Mapping[str, Float[ndarray, "18 4"]]]
-#: Solutions from blocks drawn at random, for the uncertainty, which is so many standard deviations.
-_DRAWS, _SIGMAS = 50, 3.0
-#: What all skeletons of a camera may have in common: position (metres) and rotation (degrees), standard deviations.
-_COMMON_M, _COMMON_DEG = 0.006, 0.2
-#: A pose that is less certain than this is not used: metres, degrees.
-_MOST_M, _MOST_DEG = 0.06, 3.0
+#: Solutions from blocks drawn at random, for the uncertainty,
+_DRAWS = 50
+#: which is so many standard deviations.
+_SIGMAS = 3.0
+#: What all skeletons of a camera may have in common, standard deviations: position (metres)
+_COMMON_M = 0.006
+#: and rotation (degrees).
+_COMMON_DEG = 0.2
+#: A pose that is less certain than this is not used (metres);
+_MOST_M = 0.06
+#: nor one that is less certain than this (degrees).
+_MOST_DEG = 3.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

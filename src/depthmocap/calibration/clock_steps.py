@@ -16,18 +16,28 @@ from depthmocap.calibration.joint_tracks import JointTrack
 from depthmocap.calibration.motion_signals import RATE_HZ, likeness, motion_signals
 from depthmocap.calibration.time_fit import TimeFit
 
-#: Signals are compared over this long (seconds), again after each such time.
-_WINDOW_S, _HOP_S = 8.0, 2.0
-#: Another offset of such a window must be this far from the take's (seconds), and so many times more like,
-_APART_S, _RATIO = 0.15, 1.8
+#: Signals are compared over this long (seconds),
+_WINDOW_S = 8.0
+#: again after each such time (seconds).
+_HOP_S = 2.0
+#: Another offset of such a window must be this far from the take's (seconds),
+_APART_S = 0.15
+#: so many times more like,
+_RATIO = 1.8
 #: reach this likeness,
 _LEAST_LIKENESS = 60.0
-#: and be the same in so many windows in a row, to this (seconds).
-_WINDOWS, _SAME_S = 2, 0.15
+#: and be the same in so many windows in a row,
+_WINDOWS = 2
+#: to this (seconds).
+_SAME_S = 0.15
 #: Jumps further than this (seconds) are not looked for.
 _FARTHEST_S = 10.0
-#: A small jump is at least this long (seconds), and so many standard errors, with this many blocks on either side.
-_LEAST_S, _SIGMAS, _LEAST_BLOCKS = 0.03, 6.0, 5
+#: A small jump is at least this long (seconds),
+_LEAST_S = 0.03
+#: so many standard errors,
+_SIGMAS = 6.0
+#: with this many blocks on either side.
+_LEAST_BLOCKS = 5
 
 
 @dataclasses.dataclass(frozen=True)

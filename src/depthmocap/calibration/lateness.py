@@ -34,8 +34,10 @@ _MOMENTS = 60
 _LEAST_SHARE = 0.5
 #: and at least so many.
 _LEAST_MOMENTS = 12
-#: Random fits and iterations of reweighted least squares for each offset.
-_FITS, _ITERATIONS = 8, 6
+#: Random fits for each offset.
+_FITS = 8
+#: Iterations of reweighted least squares for each offset.
+_ITERATIONS = 6
 
 
 @dataclasses.dataclass(frozen=True)

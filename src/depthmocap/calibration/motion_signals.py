@@ -29,8 +29,10 @@ _DISTANCES = (
     ("?Hand", "?Shoulder"), ("?Hand", "Hip"), ("?Hand", "Head"), ("?Elbow", "Hip"), ("?Hand", "?Foot"),
     ("?Foot", "Neck"), ("?Foot", "?Hip"), ("?Knee", "Neck"), ("Head", "Hip"),
 )  # fmt: skip
-#: Joints whose speeds are signals, over this time (seconds).
-_SPEEDS, _SPEED_S = ("Hip", "Neck", "Head", "?Hand", "?Elbow", "?Foot", "?Knee"), 0.2
+#: Joints whose speeds are signals,
+_SPEEDS = ("Hip", "Neck", "Head", "?Hand", "?Elbow", "?Foot", "?Knee")
+#: over this time (seconds).
+_SPEED_S = 0.2
 #: Times (seconds) over which the distance that the trunk gets is a signal: they tell a path's bends and its pauses.
 _PATH_S = (0.5, 1.0, 2.0, 4.0)
 _TRUNK = ("Hip", "Spine", "Spine1", "Spine2", "Neck")

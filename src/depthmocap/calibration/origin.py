@@ -21,14 +21,18 @@ from depthmocap.geometry import DepthCamera, Rig
 #: ``--origin walk``.
 WALK = "walk"
 _FEET = [JOINT_INDEX["LFoot"], JOINT_INDEX["RFoot"]]
-#: Somebody stands whose feet stay within this (metres) for this long (seconds).
-_STILL_M, _STAND_S = 0.12, 0.8
+#: Somebody stands whose feet stay within this (metres)
+_STILL_M = 0.12
+#: for this long (seconds).
+_STAND_S = 0.8
 #: The second place is at least so far from the first (metres).
 _LEAST_WALK_M = 0.8
 #: Feet are averaged over this time around the moment when somebody stands on a point (seconds).
 _AROUND_S = 0.4
-#: Two points of the floor are at least so far apart (metres); they fit if none is further off than the second number.
-_LEAST_APART_M, _MOST_OFF_M = 0.5, 0.15
+#: Two points of the floor are at least so far apart (metres);
+_LEAST_APART_M = 0.5
+#: they fit if none is further off than this (metres).
+_MOST_OFF_M = 0.15
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

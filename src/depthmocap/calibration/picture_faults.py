@@ -35,8 +35,10 @@ COMMON_FACTORS = (0.1, 0.25, 0.5, 2.0, 4.0, 10.0)
 _NEAR = 1.12
 #: Two cameras measure in the same unit if their ratio is within this.
 SAME_UNIT = 1.12
-#: Fewest moments that two cameras must share, and share of them that must agree, for a judgement.
-_LEAST_MOMENTS, _LEAST_SHARE = 12, 0.5
+#: Fewest moments that two cameras must share for a judgement.
+_LEAST_MOMENTS = 12
+#: Share of these moments that must agree.
+_LEAST_SHARE = 0.5
 #: A reflection is told if without it (or with it) the joints fit less well than this share.
 _WORSE = 0.8
 #: Most moments at which two cameras are compared.

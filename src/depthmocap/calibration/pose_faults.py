@@ -31,8 +31,10 @@ _LEAST_MOMENTS = 12
 _MOMENTS = 60
 #: Initial fits of a camera that stands elsewhere.
 _FITS = 60
-#: The person's axis is upright within this angle (degrees), and told not to be beyond the other.
-UPRIGHT_DEG, TILTED_DEG = 25.0, 50.0
+#: The person's axis is upright within this angle (degrees),
+UPRIGHT_DEG = 25.0
+#: and told not to be beyond this one.
+TILTED_DEG = 50.0
 #: Somebody walks who goes so far (metres, standard deviation); only of them the axis tells what is up.
 _WALKS_M = 0.15
 #: Greatest height of a walker's hip path (metres, standard deviation).

@@ -18,8 +18,10 @@ from depthmocap.geometry import Rig, largest_group, rigid_inverse, transform_poi
 from depthmocap.text import camera_list
 
 State = Literal["good", "bumped", "unknown"]
-#: A camera that is further from where it stood was bumped: where the person is (cm), or in rotation (degrees).
-BUMPED_CM, BUMPED_DEG = 3.0, 2.0
+#: A camera that is further from where it stood than this, where the person is, was bumped (cm).
+BUMPED_CM = 3.0
+#: So was one that is turned by more than this (degrees).
+BUMPED_DEG = 2.0
 
 
 @dataclasses.dataclass(frozen=True)

@@ -20,8 +20,10 @@ from depthmocap.geometry import DepthCamera, transform_points
 from depthmocap.pose.cloud import LabelledCloud
 from depthmocap.pose.extrinsics_check import SETS, ExtrinsicsCheck
 
-#: Joints are kept for this long (seconds), once in so many, so that a camera can be placed anew by them.
-KEPT_S, _EVERY_S = 60.0, 0.1
+#: Joints are kept for this long (seconds), so that a camera can be placed anew by them,
+KEPT_S = 60.0
+#: once in so many seconds.
+_EVERY_S = 0.1
 #: When a camera is told to have moved, it has stood where it stands now for this long at least (seconds).
 _SINCE_S = 1.5e-9 * WINDOW_NS
 

@@ -20,20 +20,28 @@ WINDOW_NS = 2_500_000_000
 _PICTURES = 10
 #: at so many columns.
 _COLUMNS = 48
-#: A window is compared with at least so many before it, and at most with so many.
-_LEAST_BEFORE, _MOST_BEFORE = 4, 24
+#: A window is compared with at least so many before it,
+_LEAST_BEFORE = 4
+#: and at most with so many.
+_MOST_BEFORE = 24
 #: So many windows together must tell of a move.
 _WINDOWS = 2
-#: Depth that mostly stays within this over the windows before is still (metres, and per squared metre of depth),
-_STILL_M, _STILL_PER_M2 = 0.004, 0.0006
-#: and has changed if it differs by more than this (metres), and by so many times what it wavered.
-_CHANGED_M, _WAVERS = 0.01, 6.0
+#: Depth that mostly stays within this over the windows before is still (metres),
+_STILL_M = 0.004
+#: and per squared metre of depth,
+_STILL_PER_M2 = 0.0006
+#: and has changed if it differs by more than this (metres),
+_CHANGED_M = 0.01
+#: and by so many times what it wavered.
+_WAVERS = 6.0
 #: What is nearer or farther by more than this (metres) is somebody or something that came before it, or went away.
 _CAME_M = 0.25
 #: A camera was moved if this share of what was still has changed,
 MOVED_SHARE = 0.2
-#: counted in at least this share of it and so many samples.
-_LEAST_SEEN, _LEAST_STILL = 0.3, 120
+#: counted in at least this share of it
+_LEAST_SEEN = 0.3
+#: and so many samples.
+_LEAST_STILL = 120
 
 
 class SceneWatch:

@@ -23,8 +23,10 @@ from depthmocap.geometry import transform_points
 
 #: Errors within this time (seconds) are correlated.
 _BLOCK_S = 1.0
-#: Most iterations; they end when the offset changes by less than this (seconds).
-_ITERATIONS, _CONVERGED_S = 25, 0.0002
+#: Most iterations;
+_ITERATIONS = 25
+#: they end when the offset changes by less than this (seconds).
+_CONVERGED_S = 0.0002
 #: A fit that comes further from where it started (seconds) is none.
 _FARTHEST_S = 0.35
 #: Drift can be told of clocks that share at least this (seconds).

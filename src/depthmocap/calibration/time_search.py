@@ -25,8 +25,10 @@ from depthmocap.calibration.time_fit import DRIFT_SHARED_S, TimeFit, fit_time, s
 LONGEST_SEARCH_S = 600.0
 #: Both cameras must know a signal for this long (seconds) at an offset.
 LEAST_SHARED_S = 4.0
-#: Number of candidates, and how far apart they are at least (seconds): less than a stride.
-_CANDIDATES, APART_S = 8, 0.4
+#: Number of candidates,
+_CANDIDATES = 8
+#: which are so far apart at least (seconds): less than a stride.
+APART_S = 0.4
 #: Most moments at which skeletons are brought onto each other.
 _MOMENTS = 60
 #: A rank below this is reached by people who move independently.

@@ -28,8 +28,10 @@ BACK_ENDS = {
     "kinect2": "depthmocap.cameras.kinect2",
     "openni": "depthmocap.cameras.openni",
 }
-#: Names of the two kinds of source that are played like cameras.
-RECORDED, SYNTHETIC = "recording", "synthetic"
+#: Name of the source of recordings that are played like cameras.
+RECORDED = "recording"
+#: Name of the source of generated people.
+SYNTHETIC = "synthetic"
 #: Their modules. Each has ``make_sources(address, request, playback_clock)``, which gives the cameras of one recording
 #: or scene. They belong to higher packages, so they are imported by name.
 _PLAYED = {RECORDED: "depthmocap.recordings.recorded_camera", SYNTHETIC: "depthmocap.synth.synthetic_camera"}

@@ -10,8 +10,10 @@ from depthmocap.core.reading.input_files import open_file
 _TOPICS = {"realsense": (b"/device_0/sensor_", b"/device_0/info"), "orbbec": (b"/cam/sensor_", b"/cam/streamProfile")}
 #: Name endings of files with topics: ROS 1 bags, ROS 2 bags, and Orbbec's newer form.
 TOPIC_FILES = (".bag", ".db3", ".mcap")
-#: Bags list their topics at the beginning or behind all frames; so much is looked at (bytes).
-_HEAD, _TAIL = 1 << 20, 1 << 23
+#: Bags list their topics at the beginning, of which so much is looked at (bytes),
+_HEAD = 1 << 20
+#: or behind all frames, of which so much is looked at (bytes).
+_TAIL = 1 << 23
 
 
 def sdk_of(path: Path) -> str:

@@ -26,10 +26,14 @@ if TYPE_CHECKING:
 #: See :func:`networks_on`.
 Device: TypeAlias = Literal["auto", "cpu", "cuda", "openvino", "coreml", "directml"]
 _CPU = "CPUExecutionProvider"
-#: Inputs in a measurement, as many as a rig's cameras often are, and how often they are run.
-_MEASURED, _ROUNDS = 4, 3
-#: Length that a measurement gives an axis whose length is free, such as the height of a picture.
-_FREE_LENGTH, _FREE_VIEWS = 192, 4
+#: Inputs in a measurement, as many as a rig's cameras often are.
+_MEASURED = 4
+#: How often they are run.
+_ROUNDS = 3
+#: Length that a measurement gives an axis whose length is free, such as the height of a picture,
+_FREE_LENGTH = 192
+#: and one that counts views.
+_FREE_VIEWS = 4
 
 
 class _Accelerator(NamedTuple):

@@ -32,7 +32,10 @@ from depthmocap.text import joined
 #: Segmentation of the person: by the sequence's background, by a box around the true joints, or none.
 Mask = Literal["background", "box", "all"]
 
-WIDTH, HEIGHT = 320, 240
+#: Columns of a depth picture.
+WIDTH = 320
+#: Rows of a depth picture.
+HEIGHT = 240
 #: Joints or markers of a record, at most.
 _MOST = 32
 RECORD = np.dtype(

@@ -41,7 +41,10 @@ CORRESPONDENCE: dict[str, str] = {joint: "Spine1" if joint == "Torso" else joint
 #: Parts of the body that are reported separately.
 PARTS: dict[str, tuple[str, ...]] = {"upper body": JOINTS[:8], "lower body": JOINTS[8:]}
 
-WIDTH, HEIGHT = 320, 240
+#: Columns of a depth picture.
+WIDTH = 320
+#: Rows of a depth picture.
+HEIGHT = 240
 _FOCAL = 1 / 0.0035
 #: Rows of a file, at most.
 _MOST_FRAMES = 1_000_000

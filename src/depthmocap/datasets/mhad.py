@@ -33,7 +33,10 @@ from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.geometry.transforms import is_rigid, rigid_inverse
 from depthmocap.segment.static_scene import PersonSegmenter
 
-WIDTH, HEIGHT = 640, 480
+#: Columns of a depth picture.
+WIDTH = 640
+#: Rows of a depth picture.
+HEIGHT = 480
 KINECTS = (1, 2)
 _ARM = ("Collar", "Shoulder", "Arm", "Elbow", "Forearm", "Hand", "HandEnd")
 _LEG = ("Hip", "Thigh", "Knee", "Shin", "Foot", "Toe", "ToeEnd")

@@ -14,7 +14,10 @@ from depthmocap.errors import InputError
 from depthmocap.geometry.depth_camera import DepthCamera, check_camera
 from depthmocap.geometry.transforms import is_rigid, rigid_inverse
 
-WIDTH, HEIGHT = 512, 424
+#: Columns of a depth picture.
+WIDTH = 512
+#: Rows of a depth picture.
+HEIGHT = 424
 #: Whether M_color leads from a Kinect's frame to its colour camera, or back.
 MColor = Literal["to-colour", "from-colour"]
 

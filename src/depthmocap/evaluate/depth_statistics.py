@@ -18,8 +18,10 @@ STEPS_M = (0.1, 0.2, 0.4, 0.8, 1.6, np.inf)
 DISTANCES_M = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.5, 8.0)
 #: A step between pixels of more than this share of the distance is a silhouette, not a slope.
 _EDGE_SHARE = 0.04
-#: Side of the windows that planes are fitted to (pixels), and the largest slope in them (depth a pixel, of the depth).
-_WINDOW, _SLOPE = 5, 0.015
+#: Side of the windows that planes are fitted to (pixels).
+_WINDOW = 5
+#: Largest slope in them (depth a pixel, of the depth).
+_SLOPE = 0.015
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -38,8 +38,10 @@ Act: TypeAlias = Literal[
     "carried",
 ]
 ACTS: tuple[Act, ...] = get_args(Act)
-#: Length of the acts (seconds); of those in which somebody keeps still.
-_SECONDS, _STILL_SECONDS = 14.0, 180.0
+#: Length of the acts (seconds);
+_SECONDS = 14.0
+#: of those in which somebody keeps still (seconds).
+_STILL_SECONDS = 180.0
 #: Acts that one camera alone sees, whose place nobody knows.
 ONE_CAMERA: tuple[Act, ...] = ("close up", "carried")
 #: How far a wheelchair rolls (metres).

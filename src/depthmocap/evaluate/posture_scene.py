@@ -27,12 +27,24 @@ from depthmocap.synth.scenes.solids import NONE, Solids, join
 _BED_M = (0.4, 0.6)
 #: A blanket shows who is under it where the skin is no farther from it than this (metres).
 _ON_PERSON_M = 0.1
-#: A camera close up is so far from the middle of somebody's breast, so high, and so far aside (metres, radians).
-_CLOSE_M, _CLOSE_HEIGHT_M, _ASIDE_RAD = (0.9, 1.2), (1.0, 1.6), 0.6
-#: A camera that is carried stays about so far from the person, so high (metres), and goes about them so far (radians).
-_CARRIED_M, _CARRIED_HEIGHT_M, _ABOUT_RAD = (1.7, 2.2), (1.3, 1.6), 0.9
-#: Standard deviations of the shake of a hand: place (metres) and aim (metres), each within about half a second.
-_SHAKE_M, _SHAKE_AIM_M, _SHAKE_S = 0.015, 0.04, 0.25
+#: A camera close up is so far from the middle of somebody's breast (metres),
+_CLOSE_M = (0.9, 1.2)
+#: so high (metres),
+_CLOSE_HEIGHT_M = (1.0, 1.6)
+#: and so far aside (radians).
+_ASIDE_RAD = 0.6
+#: A camera that is carried stays about so far from the person (metres),
+_CARRIED_M = (1.7, 2.2)
+#: so high (metres),
+_CARRIED_HEIGHT_M = (1.3, 1.6)
+#: and goes about them so far (radians).
+_ABOUT_RAD = 0.9
+#: Standard deviation of the shake of a hand: of its place (metres),
+_SHAKE_M = 0.015
+#: and of its aim (metres),
+_SHAKE_AIM_M = 0.04
+#: each within about this time (seconds).
+_SHAKE_S = 0.25
 #: Slow changes of a carried camera's way take about so long (seconds).
 _WANDER_S = 2.0
 

@@ -25,8 +25,12 @@ from depthmocap.synth.sensing.sensors import SENSORS, SensorPreset
 
 #: Outside the walls, a corridor runs around the room (metres).
 _CORRIDOR_M = 1.4
-#: Thickness of the walls, and heights of the doors and of the ceiling (metres).
-_WALL_M, _DOOR_M, _CEILING_M = 0.1, 2.15, 3.0
+#: Thickness of the walls (metres).
+_WALL_M = 0.1
+#: Height of the doors (metres).
+_DOOR_M = 2.15
+#: Height of the ceiling (metres).
+_CEILING_M = 3.0
 _SHELL = Box(
     (-HALF_X - _CORRIDOR_M, -HALF_Y - _CORRIDOR_M, 0.0), (HALF_X + _CORRIDOR_M, HALF_Y + _CORRIDOR_M, _CEILING_M)
 )

@@ -24,8 +24,10 @@ HALF_X = 3.0
 HALF_Y = 2.9
 #: Doors by axis and sign of their wall: from where to where along the wall, metres.
 DOORS = {(0, -1): (-0.6, 0.7), (0, 1): (-1.1, 0.1), (1, 1): (0.6, 1.9)}
-#: People walk along a corridor this far behind the walls, and wait there this far beside a door's middle, metres.
-_OUTSIDE_M, _ASIDE_M = 0.7, 1.5
+#: People walk along a corridor this far behind the walls (metres),
+_OUTSIDE_M = 0.7
+#: and wait there this far beside a door's middle (metres).
+_ASIDE_M = 1.5
 #: Statures of people who look alike differ by at most this, metres.
 ALIKE_M = 0.015
 #: Statures of people who look different differ by at least this, metres.

@@ -40,16 +40,24 @@ from depthmocap.synth.sample import Split
 from depthmocap.synth.sensing.sensor import sense
 from depthmocap.synth.sensing.sensors import SensorPreset
 
-#: Distances and heights of cameras, which stand all around (m), and how far each is from an even spread (radians).
-_DISTANCE_M, _HEIGHT_M, _SPREAD_RAD = (3.3, 4.2), (1.0, 2.0), 0.35
+#: Distances of cameras, which stand all around (m),
+_DISTANCE_M = (3.3, 4.2)
+#: their heights (m),
+_HEIGHT_M = (1.0, 2.0)
+#: and how far each is from an even spread (radians).
+_SPREAD_RAD = 0.35
 #: They look at this height (m).
 _AIM_M = 0.9
-#: Speeds at which the slower of heel and toe has come to rest, and at which it has gone (m/s).
-RESTS_MPS, GONE_MPS = 0.5, 1.0
+#: Speed at which the slower of heel and toe has come to rest (m/s),
+RESTS_MPS = 0.5
+#: and at which it has gone (m/s).
+GONE_MPS = 1.0
 _WALK = re.compile(r"\bwalk\b", re.IGNORECASE)
 _ODD = re.compile(r"uneven|backward|sideways|start|stop", re.IGNORECASE)
-#: A clip that goes further is cut (m), and one that is shorter left out (s).
-_LONGEST_M, _SHORTEST_S = 4.6, 2.0
+#: A clip that goes further is cut (m),
+_LONGEST_M = 4.6
+#: and one that is shorter left out (s).
+_SHORTEST_S = 2.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

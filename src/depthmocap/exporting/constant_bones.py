@@ -33,8 +33,10 @@ _INCIDENCE = np.zeros((len(_PAIRS), len(JOINTS)))
 _INCIDENCE[np.arange(len(_PAIRS)), _PAIRS[:, 0]], _INCIDENCE[np.arange(len(_PAIRS)), _PAIRS[:, 1]] = -1, 1
 _COUPLING = _INCIDENCE @ _INCIDENCE.T
 _DAMPING = 0.02
-#: Newton steps at most, and the stretch (m) at which there is nothing to do.
-_PASSES, _STRETCH_M = 4, 1e-5
+#: Newton steps at most.
+_PASSES = 4
+#: The stretch (m) at which there is nothing to do.
+_STRETCH_M = 1e-5
 #: A distance estimated shorter than this share of its length is left as it is: its direction is unreliable.
 _SHORTEST = 0.4
 #: Frames that are solved at once, which bounds memory.

@@ -18,10 +18,14 @@ from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.geometry import rotation_between
 
 LEGS = tuple(tuple(JOINT_INDEX[side + name] for name in ("Hip", "Knee", "Foot")) for side in "RL")
-#: A foot is caught at this share of the speed below which it stands, and let go at this multiple of it.
-_CATCH, _LEAVE = 0.8, 1.0
-#: The place of a standing foot follows its ankle within so long (s), but no faster than this.
-_FOLLOW_S, _CREEP_MPS = 0.5, 0.03
+#: A foot is caught at this share of the speed below which it stands,
+_CATCH = 0.8
+#: and let go at this multiple of it.
+_LEAVE = 1.0
+#: The place of a standing foot follows its ankle within so long (s),
+_FOLLOW_S = 0.5
+#: but no faster than this (m/s).
+_CREEP_MPS = 0.03
 #: Less is no shift (m).
 _LEAST_SHIFT_M = 1e-5
 #: How far a knee is moved from the line between hip and ankle (m).

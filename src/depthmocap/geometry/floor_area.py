@@ -14,8 +14,10 @@ from depthmocap.errors import InputError
 #: Corners on the floor, one after the other: x and y in the world (metres), or x and z where y is up. Empty for
 #: everywhere.
 FloorArea: TypeAlias = tuple[tuple[float, float], ...]
-#: Most corners, and largest coordinate (metres).
-_MOST_CORNERS, _LARGEST_M = 1000, 1e6
+#: Most corners.
+_MOST_CORNERS = 1000
+#: Largest coordinate (metres).
+_LARGEST_M = 1e6
 #: What encloses less is nothing (m²).
 _LEAST_M2 = 1e-4
 

@@ -19,8 +19,10 @@ from depthmocap.report.metrics import joint_metrics
 from depthmocap.report.page import ReportFigure, ReportSection, ReportTable, write_report
 from depthmocap.text import offset_lines
 
-#: Frames of the preview and stills of the report, at most.
-_PREVIEW, _STILLS = 60, 3
+#: Frames of the preview, at most.
+_PREVIEW = 60
+#: Stills of the report, at most.
+_STILLS = 3
 #: Points of a preview picture.
 _PREVIEW_POINTS = 12_000
 

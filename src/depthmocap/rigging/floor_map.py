@@ -16,14 +16,18 @@ from depthmocap.calibration.observations import Observation
 from depthmocap.geometry import DepthCamera, Rig, rigid_inverse, transform_points
 from depthmocap.text import camera_list
 
-#: Side of a cell of the map (metres), and what the map has around the cameras and the person.
-CELL_M, MARGIN_M = 0.25, 0.5
+#: Side of a cell of the map (metres).
+CELL_M = 0.25
+#: What the map has around the cameras and the person (metres).
+MARGIN_M = 0.5
 #: Most cells along a side.
 _MOST_CELLS = 80
 #: A person is where a camera sees all of these heights above the floor (metres),
 _HEIGHTS_M = (0.4, 1.0, 1.6)
-#: at this distance (metres).
-_NEAREST_M, _FARTHEST_M = 1.0, 4.5
+#: from this distance (metres)
+_NEAREST_M = 1.0
+#: to this one (metres).
+_FARTHEST_M = 4.5
 #: Share of the picture at its rim in which a person would be cut off.
 _RIM = 0.04
 #: What is nearer than the person by this (metres) hides them.

@@ -15,8 +15,10 @@ from depthmocap.realtime.status import CameraStatus
 from depthmocap.rigging.walk_observer import Sight
 from depthmocap.text import camera_list
 
-#: Cameras nearer to each other than this (metres), and turned by less (degrees), look at the same from one place.
-SAME_M, SAME_DEG = 0.05, 3.0
+#: Cameras nearer to each other than this (metres),
+SAME_M = 0.05
+#: and turned by less (degrees), look at the same from one place.
+SAME_DEG = 3.0
 #: Every so many-th row is compared.
 _ROW_STEP = 8
 #: Frames after which a camera that has seen nobody is told.

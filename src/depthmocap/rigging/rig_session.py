@@ -32,8 +32,10 @@ RATE_HZ = 10.0
 #: How long a set waits for a camera (milliseconds): nothing is shown with it, and a set without a camera is lost for
 #: all its pairs, as on a machine that is busy with placing.
 WAIT_MS = 300.0
-#: Seconds from the end of one placing to the beginning of the next, and the share of new sets that it waits for.
-PAUSE_S, GROWTH = 2.0, 1.15
+#: Seconds from the end of one placing to the beginning of the next,
+PAUSE_S = 2.0
+#: which waits for this growth of the number of sets.
+GROWTH = 1.15
 #: So many placings in a row must be good.
 GOOD_IN_A_ROW = 2
 

@@ -23,8 +23,10 @@ from depthmocap.viewing.live_page import words
 from depthmocap.viewing.scene_drawing import SceneDrawing
 from depthmocap.viewing.viewer_page import Page, as_html, every, plain
 
-#: Longest side of a picture on the page (pixels), and points of the cloud.
-_PICTURE_PX, _POINTS = 320, 15_000
+#: Longest side of a picture on the page (pixels).
+_PICTURE_PX = 320
+#: Points of the cloud.
+_POINTS = 15_000
 #: Seconds from one drawing of the cloud to the next.
 _CLOUD_S = 0.5
 _GRADES = {"good": "#6bd48a", "fair": "#ffd166", "poor": "#ff6b6b"}

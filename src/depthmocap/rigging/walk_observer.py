@@ -17,8 +17,10 @@ from depthmocap.segment.static_scene import PersonSegmenter
 
 #: Frames that the empty scene of a camera is estimated from: as many as this, and up to twice as many.
 SAMPLES = 20
-#: Fewest frames for an estimate, and the growth of their number from one estimate to the next.
-FEWEST_SAMPLES, GROWTH = 6, 1.3
+#: Fewest frames for an estimate.
+FEWEST_SAMPLES = 6
+#: Growth of their number from one estimate to the next.
+GROWTH = 1.3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -19,8 +19,10 @@ CLEARLY_M = 0.03
 MAYBE_HEIGHT_M = 0.08
 #: A person who was hidden for no longer than this (seconds) is recognised by the place, too:
 HIDDEN_S = 4.0
-#: within this distance of where they were last seen (metres), and this much more for each second (m/s),
-HIDDEN_M, HIDDEN_MPS = 0.5, 0.8
+#: within this distance of where they were last seen (metres),
+HIDDEN_M = 0.5
+#: and this much more for each second (m/s),
+HIDDEN_MPS = 0.8
 #: unless both statures are known and differ by more than this (metres).
 OTHER_HEIGHT_M = 0.05
 

@@ -13,8 +13,10 @@ import numpy as np
 
 from depthmocap.segment.person_tracks import PersonTrack
 
-#: From this distance of their centres on (metres) two are told apart for certain; at this distance not at all.
-CLEAR_M, ONE_M = 0.45, 0.2
+#: From this distance of their centres on (metres) two are told apart for certain;
+CLEAR_M = 0.45
+#: at this distance (metres) not at all.
+ONE_M = 0.2
 #: Somebody hidden this near to another (metres) may be who is seen there.
 HIDDEN_M = 0.5
 #: The probability that a number is the other's, where nothing tells.

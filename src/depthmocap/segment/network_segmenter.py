@@ -29,13 +29,15 @@ from depthmocap.segment.people_detector import (
     person_mask,
 )
 from depthmocap.segment.people_segmenter import PersonMasks
-from depthmocap.segment.person_tracks import PersonTrack, PersonTracker, Votes, measure_statures
+from depthmocap.segment.person_tracks import PersonTrack, PersonTracker, measure_statures
+from depthmocap.segment.vote_clusters import Votes
 
 #: Neighbouring pixels whose depths differ by less than this (metres) show one surface.
 STEP_M = 0.1
-#: What continues somebody's surface before the empty scene is theirs, too, if its logit is above this, so far from what
-#: the network found (metres): hands and feet.
-GROW_LOGIT, GROW_M = -5.0, 0.35
+#: What continues somebody's surface before the empty scene is theirs, too, if its logit is above this,
+GROW_LOGIT = -5.0
+#: so far from what the network found (metres): hands and feet.
+GROW_M = 0.35
 #: Somebody is certain to be a person after some sets; so many first sets of a recording are seen before it begins.
 _SETS_BEFORE = 8
 #: Where the empty scene is known, the network sees the whole picture in one of so many sets, in the others a part.

@@ -14,8 +14,10 @@ from depthmocap.segment.people_detector import PeopleDetector
 from depthmocap.segment.people_segmenter import PersonMasks
 from depthmocap.segment.static_scene import Mode, PersonSegmenter
 
-#: Views are shown so often, so far apart in time (ns), that everybody certain is told of.
-_TIMES, _APART_NS = 3, 100_000_000
+#: Views are shown so often, that everybody certain is told of,
+_TIMES = 3
+#: so far apart in time (ns).
+_APART_NS = 100_000_000
 
 
 def people_at_once(views: tuple[View, ...], detector: PeopleDetector, people: int = 1) -> tuple[PersonMasks, ...]:

@@ -31,8 +31,10 @@ from depthmocap.streaming.stream_protocol import Marker, Sample, Stream, StreamS
 DESCRIBE_NS = 1_000_000_000
 #: Messages that wait for a slow viewer, of all topics together; beyond them the oldest is dropped.
 _BACKLOG = 32
-#: Width of bones and joints (m).
-_BONE_M, _JOINT_M = 0.02, 0.04
+#: Width of bones (m).
+_BONE_M = 0.02
+#: Width of joints (m).
+_JOINT_M = 0.04
 #: A point of the cloud: its place, region and colour.
 _POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("region", "u1"),
                    ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("alpha", "u1")])  # fmt: skip

@@ -19,9 +19,10 @@ from depthmocap.exporting.timeline import LEAST_CONFIDENCE, Y_UP_FROM_Z_UP
 from depthmocap.frames import Pose
 from depthmocap.geometry import z_up_from
 
-#: The rest skeleton is learnt from so many poses, at doubling distances, and for so long of somebody seen (s); from
-#: then on it stays.
-LEARNT_POSES, LEARNT_S = 512, 5.0
+#: The rest skeleton is learnt from so many poses, at doubling distances,
+LEARNT_POSES = 512
+#: and for so long of somebody seen (s); from then on it stays.
+LEARNT_S = 5.0
 #: Longer than this between poses nobody was seen (s).
 _LONGEST_S = 0.2
 

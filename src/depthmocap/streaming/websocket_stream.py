@@ -51,12 +51,16 @@ MOST_CLIENTS = 64
 MAX_MARKERS = 100
 #: Bytes on their way to a client, in the system and here: a slow one shall not read what is long past.
 _BUFFER = 2**16
-#: Seconds for opening the port, and for clients to take their leave.
-_OPEN_S, _LEAVE_S = 10.0, 0.5
+#: Seconds for opening the port.
+_OPEN_S = 10.0
+#: Seconds for clients to take their leave.
+_LEAVE_S = 0.5
 #: Pages that may connect where the server is for this machine alone: other sites open in the browser must not.
 _LOCAL_PAGE = re.compile(r"null|https?://(localhost|127\.\d+\.\d+\.\d+|\[::1\])(:\d+)?")
-#: Decimals of a metre and of a confidence, as in pose.csv.
-_DECIMALS, _CONFIDENCE_DECIMALS = 6, 4
+#: Decimals of a metre, as in pose.csv.
+_DECIMALS = 6
+#: Decimals of a confidence, as in pose.csv.
+_CONFIDENCE_DECIMALS = 4
 
 
 def start_message(up: str) -> str:

@@ -28,18 +28,26 @@ from depthmocap.synth.sensing.sensors import SensorPreset, random_model, random_
 
 #: Rows and columns of a training picture, in cells: wider pictures are cropped, smaller ones padded.
 PICTURE = (72, 88)
-#: Pictures of one scene, and how often each is read by a sensor with other errors.
-VIEWS, READINGS = 10, 2
+#: Pictures of one scene.
+VIEWS = 10
+#: How often each is read by a sensor with other errors.
+READINGS = 2
 #: Share of readings with errors drawn around the sensor's own.
 _RANDOM_ERRORS = 0.5
 #: Dressed bodies kept to appear again in other postures: to dress somebody takes longer than to pose them.
-_KEPT, _AGAIN = 12, 0.7
-#: Share of bodies that are small children's, and of those less than about a year old among them.
-_INFANTS, _BABIES = 0.2, 0.4
+_KEPT = 12
+#: Share of people whose body is one of these.
+_AGAIN = 0.7
+#: Share of bodies that are small children's.
+_INFANTS = 0.2
+#: Share of those less than about a year old among them.
+_BABIES = 0.4
 #: Share of people who lie, besides those of recordings.
 _LIE = 0.15
-#: Children smaller than this (metres) lie more often, with this probability.
-_INFANT_M, _INFANTS_LIE = 0.95, 0.7
+#: Children smaller than this (metres) lie more often,
+_INFANT_M = 0.95
+#: with this probability.
+_INFANTS_LIE = 0.7
 #: Target of samples without depth.
 IGNORED = 255
 #: A person far from everything seen of them is not taught (metres).
@@ -100,7 +108,9 @@ def _height_m(dressed: DressedBody) -> float:
 
 def _infant(rng: np.random.Generator) -> DressedBody:
     """A child of less than about a metre."""
-    phenotype = dataclasses.replace(random_phenotype(rng), age=float(rng.uniform(0, 0.06 if rng.random() < _BABIES else 0.2)))
+    phenotype = dataclasses.replace(
+        random_phenotype(rng), age=float(rng.uniform(0, 0.06 if rng.random() < _BABIES else 0.2))
+    )
     return clothe(BodyModel.load().shape(phenotype), random_clothes(rng, False, phenotype.gender), rng)
 
 

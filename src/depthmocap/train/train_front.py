@@ -39,9 +39,12 @@ from depthmocap.train.windows import LabelledWindow
 _ENCODER_RATE = 0.5
 #: Number of pictures from which the new head learns alone.
 _HEAD_ALONE = 8000
-#: Share of a batch that is turned in the picture, and the standard deviations of the turn (radians) and of the
-#: logarithm of its size.
-_TURNED, _TURN_RAD, _SIZE = 1 / 3, 0.15, 0.05
+#: Share of a batch that is turned in the picture,
+_TURNED = 1 / 3
+#: standard deviation of the turn (radians)
+_TURN_RAD = 0.15
+#: and of the logarithm of its size.
+_SIZE = 0.05
 #: Log odds above which a front is told surely: nine to one.
 _SURE = 2.2
 #: Number of training windows from which the ranges of the 8-bit form are taken.

@@ -32,9 +32,11 @@ from depthmocap.train.training_run import (
 
 #: Weight of the error of the centres (metres) against the cross-entropy.
 _OFFSET_WEIGHT = 1.0
-#: A person of fewer samples than this weighs more, by the square root of how many fewer, at most so many times:
-#: otherwise nobody learns what a small child or a far person is.
-_FEW_SAMPLES, _MOST_WEIGHT = 400, 3.0
+#: A person of fewer samples than this weighs more, by the square root of how many fewer: otherwise nobody learns what a
+#: small child or a far person is.
+_FEW_SAMPLES = 400
+#: The most that a person weighs.
+_MOST_WEIGHT = 3.0
 #: So many batches tell the ranges of the network's values, for its 8 bits.
 _RANGE_BATCHES = 8
 #: Scenes between which pictures are mixed.

@@ -26,8 +26,12 @@ from depthmocap.viewing.viewer_page import Page, as_html, every, plain
 
 #: Most people that are drawn.
 MOST_PEOPLE = 8
-#: Seconds from one drawing to the next: of the cloud, of depth pictures, and of plots and words.
-CLOUD_S, PICTURES_S, WORDS_S = 0.1, 0.25, 0.5
+#: Seconds from one drawing of the cloud to the next,
+CLOUD_S = 0.1
+#: of depth pictures,
+PICTURES_S = 0.25
+#: and of plots and words.
+WORDS_S = 0.5
 #: Seconds in which stopping must be clicked again.
 _ASKED_S = 5.0
 #: Longest side of a depth picture on the page (pixels).

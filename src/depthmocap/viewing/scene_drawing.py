@@ -27,12 +27,16 @@ from depthmocap.viewing.viewer_page import plain
 
 CloudColours = Literal["camera", "depth", "body part"]
 Colour = tuple[int, int, int]
-#: Depth (m) in which colours of depth are distinguished.
-NEAREST_M, FARTHEST_M = 0.5, 5.0
+#: Depth (m) from which on colours of depth are distinguished,
+NEAREST_M = 0.5
+#: and up to which.
+FARTHEST_M = 5.0
 #: Joints that leave a trail.
 TRAILING = ("Head", "RHand", "LHand", "RFoot", "LFoot")
-#: Poses, and nanoseconds, that a trail shows at most.
-TRAIL_LENGTH, TRAIL_NS = 30, 1_000_000_000
+#: Poses that a trail shows at most.
+TRAIL_LENGTH = 30
+#: Nanoseconds that a trail shows at most.
+TRAIL_NS = 1_000_000_000
 _BONE_ENDS = np.array([[JOINT_INDEX[parent], JOINT_INDEX[child]] for parent, child in BONES])
 _TRAILING = [JOINT_INDEX[joint] for joint in TRAILING]
 _BACKGROUND = (23.0, 23.0, 28.0)

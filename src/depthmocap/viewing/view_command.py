@@ -15,8 +15,10 @@ from depthmocap.viewing.take_page import TakePage
 from depthmocap.viewing.viewed_take import open_take
 from depthmocap.viewing.viewer_page import Page
 
-#: Where viewers listen.
-HOST, PORT = "127.0.0.1", 8080
+#: Address where viewers listen.
+HOST = "127.0.0.1"
+#: Port where viewers listen.
+PORT = 8080
 
 
 @dataclasses.dataclass(frozen=True)

@@ -45,10 +45,16 @@ _IN_DOORWAY = 0.1
 COVER_M = 0.15
 #: Share of seated people who sit in a wheelchair.
 _WHEELCHAIR = 0.15
-#: A person lies if the body is lower than this (metres, of an adult) and this much longer than high.
-_LYING_M, _LYING = 0.75, 1.6
-#: Walls are so far from the middle of a room, and of a large one (metres); share of large rooms.
-_WALLS_M, _FAR_WALLS_M, _LARGE = (1.5, 4.0), (3.0, 7.0), 0.35
+#: A person lies if the body is lower than this (metres, of an adult)
+_LYING_M = 0.75
+#: and this much longer than high.
+_LYING = 1.6
+#: Walls are so far from the middle of a room (metres),
+_WALLS_M = (1.5, 4.0)
+#: and of a large one (metres).
+_FAR_WALLS_M = (3.0, 7.0)
+#: Share of large rooms.
+_LARGE = 0.35
 #: Cameras near by, far away and otherwise: share and distance from what they look at (metres), within their range.
 _DISTANCES = ((0.2, (0.5, 1.5)), (0.25, (4.0, 8.5)), (0.55, (1.5, 7.0)))
 #: Least distance of a camera from everybody's skin and from the room's walls (metres).

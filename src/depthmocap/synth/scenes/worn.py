@@ -19,8 +19,10 @@ from depthmocap.synth.scenes.solids import NONE, Solids, box, capsule, chain, el
 
 #: Length of an adult's trunk, hips to neck, which worn things are scaled by (metres).
 _TRUNK_M = 0.59
-#: Cloth stands off the trunk by no more than this, and off the shoulders (metres).
-_THICKEST_M, _PADDING_M = 0.09, 0.045
+#: Cloth stands off the trunk by no more than this (metres),
+_THICKEST_M = 0.09
+#: and off the shoulders by no more than this (metres).
+_PADDING_M = 0.045
 _TRUNK = ("chest", "belly", "upper back", "lower back", "collar", "shoulder front", "shoulder back", "nape")
 _HEAD = ("forehead", "hair", "face")
 

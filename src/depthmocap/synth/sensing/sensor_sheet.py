@@ -37,8 +37,10 @@ _TITLES = ("exact", "as read", "difference, ±3 cm", "a silhouette, exact", "as 
 _DIFFERENCE_M = 0.03
 #: When the person of the demo's motion is shown.
 _TIME_S = 0.2
-#: Positions of the cameras and of the point they look at, relative to the floor below the person, metres.
-_EYE, _TARGET = np.array([0.5, -1.75, 1.25]), np.array([0.0, 0.0, 0.95])
+#: Positions of the cameras relative to the floor below the person (metres),
+_EYE = np.array([0.5, -1.75, 1.25])
+#: and of the point they look at (metres).
+_TARGET = np.array([0.0, 0.0, 0.95])
 
 
 @dataclasses.dataclass(frozen=True)
