@@ -252,6 +252,7 @@ def test_a_run_that_is_interrupted_loses_no_step(root, tmp_path, monkeypatch):
         train_classifier(dataclasses.replace(settings, start=settings.out / "classifier.safetensors"))
 
 
+@pytest.mark.slow
 def test_votes_that_are_interrupted_are_kept(root, tmp_path, monkeypatch):
     skip_export_of_votes(monkeypatch)
     source = PoseSampleSettings(str(root), subset="hard", samples=24, views=(2,))

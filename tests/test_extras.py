@@ -63,7 +63,11 @@ def _said(tree: ast.AST) -> list[tuple[str, str]]:
 
 def test_messages_name_the_extra_that_has_the_package() -> None:
     _, extras = _declared()
-    said = [each for tree in _trees().values() for each in _said(tree)]
+    said = [
+        each for path, tree in _trees().items()
+        if re.search("missing_extra|CameraMake", path.read_text(encoding="utf-8"))
+        for each in _said(tree)
+    ]  # fmt: skip
     assert len(said) > 12
     for package, extra in said:
         assert _normal(package) in extras[extra], f"[{extra}] lacks {package}"

@@ -69,6 +69,7 @@ def test_a_mirrored_camera_is_named_and_left_out_and_placed_where_it_is_to_be_me
     assert np.array_equal(depth, true_depth)
 
 
+@pytest.mark.slow
 def test_a_unit_that_is_wrong_for_all_is_named_with_the_right_one(tmp_path, capsys) -> None:
     path, out = recording(tmp_path / "quarter", 4, unit(0.25), names=CAMERAS), tmp_path / "rig.json"
     assert main(["calibrate", str(path), "--out", str(out)]) == 2

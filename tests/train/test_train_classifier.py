@@ -65,6 +65,7 @@ def test_windows_of_the_papers_kind(body_model: BodyModel) -> None:
     assert not (valid[0].labels == source.train()[0].labels).all()
 
 
+@pytest.mark.slow
 def test_the_papers_network_learns_resumes_and_exports(
     body_model: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -91,6 +91,7 @@ def draw_few_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("depthmocap.train.train_people._MIXED", 0)
 
 
+@pytest.mark.slow
 def test_a_run_trains_and_resumes(body_model: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[dict[str, str]] = []
 

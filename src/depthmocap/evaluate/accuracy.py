@@ -192,7 +192,7 @@ def _by_heading(numbers: dict[str, Any]) -> dict[str, str]:
 def print_numbers(title: str, numbers: dict[str, Any], console: Console) -> None:
     """The numbers of :func:`measure_accuracy` as a table."""
     table = Table(title=f"{title}, {numbers['views']} views, {numbers['labels']} labels")
-    table.add_column("measure_accuracy")
+    table.add_column("measure")
     table.add_column("value", justify="right")
     rows = {
         "samples": str(numbers["frames"]),

@@ -86,7 +86,7 @@ def _misplaced(camera: DepthCamera, settings: BenchEvaluation, rng: np.random.Ge
 
 @locks_outputs(files=FILES)
 def evaluate_bench(settings: BenchEvaluation, console: Console | None = None) -> dict[str, Any]:
-    """Make and measure_accuracy the sets; returns their numbers by name. Samples are independent, nothing is smoothed.
+    """Make and measure the sets; returns their numbers by name. Samples are independent, nothing is smoothed.
 
     Raises:
         InputError: a set that does not exist, a number out of range, or clips, weights or regressors that cannot be
