@@ -31,12 +31,12 @@ from depthmocap.realtime.take_recording import TakeRecording
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.recordings.recording_writer import RecordingWriter
 
-SETS = 50
+SETS = 125
 
 
 @pytest.fixture
 def recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Two seconds of a board."""
+    """Five seconds of a board."""
     for module in (live_module, command):
         monkeypatch.setattr(module, "load_pipeline", lambda *arguments, **others: fake_pipeline())
     scene, path = Board(2), tmp_path / "recording"

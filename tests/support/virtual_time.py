@@ -15,13 +15,13 @@ import camera_simulator
 import pytest
 
 from depthmocap.cameras import playback_clock, source, time_limit
-from depthmocap.realtime import live_capture, live_command, multi_camera_reader, record, synced_reader
+from depthmocap.realtime import live_capture, live_command, look_ahead, multi_camera_reader, record, synced_reader
 from depthmocap.recordings import recorded_camera
 from depthmocap.rigging import rig_session, setup_command
 from depthmocap.synth import synthetic_camera
 
 MODULES: tuple[ModuleType, ...] = (
-    synced_reader, live_capture, live_command, multi_camera_reader, playback_clock, record, recorded_camera,
+    synced_reader, live_capture, live_command, look_ahead, multi_camera_reader, playback_clock, record, recorded_camera,
     camera_simulator, rig_session, setup_command, source, synthetic_camera, time_limit,
 )  # fmt: skip
 

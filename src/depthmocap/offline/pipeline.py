@@ -99,6 +99,24 @@ class Result:
     final: dict[int, list[Pose]] = dataclasses.field(default_factory=dict)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class LabelledSet:
+    """A frame set whose people are found and labelled.
+
+    Attributes:
+        persons: everybody, the one who is followed first.
+        masks: of each of them in every view; of nobody, once, where nobody is there.
+        predictions: in the same order.
+        milliseconds: of the stages so far.
+    """
+
+    frames: FrameSet
+    persons: tuple[PersonMasks, ...]
+    masks: tuple[tuple[Bool[ndarray, "_ _"], ...], ...]
+    predictions: tuple[list[ViewPrediction], ...]
+    milliseconds: dict[str, float]
+
+
 @dataclasses.dataclass(eq=False)
 class _Smoothed:
     """A person's filter, how many poses it was given, and the time of the last."""
@@ -170,17 +188,28 @@ class Pipeline:
 
     def __call__(self, frames: FrameSet) -> Result:
         """Process one frame set. Without a person (or a view) the joints are NaN and their confidence 0."""
+        return self.estimate(self.label(frames))
+
+    def label(self, frames: FrameSet) -> LabelledSet:
+        """The first half of :meth:`__call__`: people and body-part labels. One thread may be in it while another is in
+        :meth:`estimate` with the set before; sets go through both in the same order."""
         clock = [time.perf_counter()]
         persons = self.segment(frames)
         nobody = tuple(np.zeros(view.depth_m.shape, np.bool_) for view in frames.views)
         # Somebody is looked for even where nobody is, so that every set has a pose.
-        all_masks = [person.masks for person in persons] or [nobody]
+        all_masks = tuple(person.masks for person in persons) or (nobody,)
         clock.append(time.perf_counter())
         views = frames.views * len(all_masks)
         predictions = self._classifier.label_views(views, [mask for masks in all_masks for mask in masks], self._up)
         clock.append(time.perf_counter())
         count = len(frames.views)
-        by_person = [predictions[i * count : (i + 1) * count] for i in range(len(all_masks))]
+        by_person = tuple(predictions[i * count : (i + 1) * count] for i in range(len(all_masks)))
+        return LabelledSet(frames, persons, all_masks, by_person, _milliseconds(STAGES[:2], clock))
+
+    def estimate(self, labelled: LabelledSet) -> Result:
+        """The second half of :meth:`__call__`: joints, smoothed over time."""
+        frames, persons, by_person = labelled.frames, labelled.persons, labelled.predictions
+        clock = [time.perf_counter()]
         numbers: list[int | None] = [person.number for person in persons] or [None]
         clouds = [self._merge(frames, *pair) for pair in zip(by_person, numbers, strict=True)]
         clock.append(time.perf_counter())
@@ -199,8 +228,8 @@ class Pipeline:
             for i, person in enumerate(persons)
         ]
         return Result(
-            followed, all_masks[0], all_labels[0], clouds[0],
-            dict(zip(STAGES, (np.diff(clock) * 1e3).tolist(), strict=True)),
+            followed, labelled.masks[0], all_labels[0], clouds[0],
+            labelled.milliseconds | _milliseconds(STAGES[2:], clock),
             tuple(people), final,
         )  # fmt: skip
 
@@ -236,6 +265,11 @@ class Pipeline:
         if smoother.is_final:
             final.setdefault(number, []).append(smoothed)
         return smoothed
+
+
+def _milliseconds(stages: Sequence[str], clock: Sequence[float]) -> dict[str, float]:
+    """Of each stage, by the seconds at which the first begins and each ends."""
+    return dict(zip(stages, (np.diff(clock) * 1e3).tolist(), strict=True))
 
 
 def mix_up_lines(result: Result) -> list[str]:

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import functools
 import queue
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -21,23 +22,29 @@ from depthmocap.calibration.rig_watch import RigWatch
 from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.cameras.registry import make_sources
 from depthmocap.cameras.source import DepthSource
+from depthmocap.core.cores import usable_cores
 from depthmocap.errors import InputError, missing_extra
 from depthmocap.frames import FrameSet, FrameSource, Pose
 from depthmocap.geometry import DepthCamera, Rig, check_extrinsics, load_rig
-from depthmocap.offline.pipeline import Pipeline, Result, mix_up_lines, warm_up
+from depthmocap.offline.pipeline import LabelledSet, Pipeline, Result, mix_up_lines, warm_up
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline
-from depthmocap.realtime.ingest import FrameIngest, frame_set, recorded_frames
+from depthmocap.realtime.ingest import frame_set
+from depthmocap.realtime.look_ahead import LookAhead
 from depthmocap.realtime.mcap_recorder import McapRecorder
-from depthmocap.realtime.status import CameraStatus, RunStatistics, camera_statuses
+from depthmocap.realtime.status import CameraStatus, RunStatistics
 from depthmocap.realtime.sync import SyncedSet, SyncSettings
 from depthmocap.realtime.synced_reader import SyncedReader
 from depthmocap.recordings.open_recording import open_recording, packaged_recording
-from depthmocap.recordings.recording import Recording
 from depthmocap.streaming.outlets import Outlets
 from depthmocap.streaming.stream_protocol import Marker, Stream, StreamSetup
 
 #: If making the pipeline takes longer (seconds), a message says so.
 SLOW_S = 2.0
+#: After so long (seconds) Python takes turns between threads. By its usual 5 ms a stage that comes out of a network or
+#: a kernel waits as long for a thread that draws or sends.
+_SWITCH_S = 0.0005
+#: A consumer who is back within this (seconds) gets a set that was begun meanwhile.
+_QUICK_S = 0.03
 #: Frames over which the difference to a recording's clock is taken.
 _FIRST_FRAMES = 300
 #: Makes a pipeline for a source of frames or backgrounds, as ``load_pipeline`` does.
@@ -52,6 +59,14 @@ class LivePose:
     synced: SyncedSet
     result: Result
     latency_ms: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _LabelledSet:
+    """A set on its way."""
+
+    synced: SyncedSet
+    people: LabelledSet
 
 
 class BackgroundSource(FrameSource):
@@ -87,6 +102,7 @@ class LiveCapture:
         make_pipeline: PipelineMaker = load_pipeline,
         tell: Callable[[str], None] = lambda line: None,
         streams: Iterable[Stream | str] = (),
+        overlap: bool | None = None,
     ) -> None:
         """
         Args:
@@ -99,6 +115,8 @@ class LiveCapture:
             tell: is called with a line about steps that take long, and what streams tell.
             streams: get every result as soon as it is known: streams of your own, or addresses such as
                 "osc://127.0.0.1:9000". A slow or failing one never holds up the capture.
+            overlap: look for people in the next set while the joints of this one are made; by default where there is
+                more than one core.
 
         Raises:
             InputError: when the address of a stream is wrong, or what it needs is not installed.
@@ -118,6 +136,8 @@ class LiveCapture:
         self._recorded_minus: list[int] = []
         self._rig_watch = RigWatch(self.up, explain=True)
         self._between_sets: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._overlap = usable_cores() > 1 if overlap is None else overlap
+        self._switch_s = sys.getswitchinterval()
 
     @property
     def recorded_minus_timestamp_ns(self) -> int | None:
@@ -142,15 +162,17 @@ class LiveCapture:
             with announce_if_slow(slow, self._tell):
                 people = compile_pipeline(self._make_pipeline).segment.people
         self.reader.start(self._tell)
+        sys.setswitchinterval(min(self._switch_s, _SWITCH_S))
         try:
             check_extrinsics(self.reader.cameras.values())
         except InputError:
-            self.reader.stop()
+            self.__exit__()
             raise
         self._outlets.start(StreamSetup(self.rig, people, self._tell, self.reader.problems.add))
         return self
 
     def __exit__(self, *failure: object) -> None:
+        sys.setswitchinterval(self._switch_s)
         if self._timer is not None:
             self._timer.cancel()
         self.reader.stop()
@@ -172,8 +194,8 @@ class LiveCapture:
         self._timer.start()
 
     def before_next_set(self, call: Callable[[], None]) -> None:
-        """Call a function in the iterating thread before the next set is processed; from any thread. So a pipeline is
-        changed between two sets."""
+        """Call a function in the iterating thread when no set is being processed, before the next one or the one after;
+        from any thread. So a pipeline is changed between two sets."""
         self._between_sets.put(call)
 
     def mark(self, text: str) -> None:
@@ -239,27 +261,57 @@ class LiveCapture:
         return self.reader.statuses()
 
     def __iter__(self) -> Iterator[LivePose]:
-        sets = self.reader.sets()
-        for synced in sets:
-            if self._pipeline is None:
-                self._pipeline = self._make_warm_pipeline(frame_set(synced, self.reader.cameras))
-                self.sets_before_ready = self.reader.reset_dropped() + 1
-                continue
-            while not self._between_sets.empty():
-                self._between_sets.get()()
-            frames = frame_set(synced, self.reader.cameras)
-            result = self._pipeline(frames)
-            self._send(result, frames)
-            self.reader.problems.update([*self._rig_watch(frames, result.cloud), *mix_up_lines(result)])
-            if len(self._recorded_minus) < _FIRST_FRAMES:
-                self._recorded_minus += [
-                    McapRecorder.recorded_ns(frame, self.unix_minus_monotonic_ns) - synced.times_ns[name]
-                    for name, frame in synced.frames.items()
-                ]
-            arrival_ns = max(frame.arrival_ns for frame in synced.frames.values())
-            latency_ms = (time.monotonic_ns() - arrival_ns) * 1e-6
-            yield _count_pose(self.statistics, LivePose(result.pose, synced, result, latency_ms))
+        ahead: LookAhead[_LabelledSet | None]
+
+        def label_next() -> _LabelledSet | None:
+            synced = next(sets, None)
+            return None if synced is None or ahead.leaving else self._label(synced)
+
+        sets = self.reader.sets(lambda: ahead.leaving)
+        ahead = LookAhead(label_next)
+        if self._pipeline is None:
+            if (first := next(sets, None)) is None:
+                return
+            self._pipeline = self._make_warm_pipeline(frame_set(first, self.reader.cameras))
+            self.sets_before_ready = self.reader.reset_dropped() + 1
+        held_s = 0.0
+        with ahead:
+            ahead.begin()
+            while (labelled := ahead.result()) is not None:
+                # A consumer who takes long gets the newest set then, not one that was begun long before.
+                early = self._overlap and held_s < _QUICK_S and self._between_sets.empty()
+                if early:
+                    ahead.begin()
+                pose = self._estimate(labelled)
+                given_s = time.monotonic()
+                yield pose
+                held_s = time.monotonic() - given_s
+                if not early:
+                    while not self._between_sets.empty():
+                        self._between_sets.get()()
+                    ahead.begin()
         self.reader.problems.update(self._rig_watch.finish())
+
+    def _label(self, synced: SyncedSet) -> _LabelledSet:
+        """The first half of a set's way, while the set before is on the second."""
+        assert self._pipeline is not None
+        return _LabelledSet(synced, self._pipeline.label(frame_set(synced, self.reader.cameras)))
+
+    def _estimate(self, labelled: _LabelledSet) -> LivePose:
+        """The second half: the pose, which streams get first of all."""
+        assert self._pipeline is not None
+        synced, frames = labelled.synced, labelled.people.frames
+        result = self._pipeline.estimate(labelled.people)
+        self._send(result, frames)
+        arrival_ns = max(frame.arrival_ns for frame in synced.frames.values())
+        latency_ms = (time.monotonic_ns() - arrival_ns) * 1e-6
+        self.reader.problems.update([*self._rig_watch(frames, result.cloud), *mix_up_lines(result)])
+        if len(self._recorded_minus) < _FIRST_FRAMES:
+            self._recorded_minus += [
+                McapRecorder.recorded_ns(frame, self.unix_minus_monotonic_ns) - synced.times_ns[name]
+                for name, frame in synced.frames.items()
+            ]
+        return count_pose(self.statistics, LivePose(result.pose, synced, result, latency_ms))
 
     def _send(self, result: Result, frames: FrameSet) -> None:
         """Hand a result to the streams, unless a filter that waits has no pose yet that is final."""
@@ -307,68 +359,8 @@ def compile_pipeline(make_pipeline: PipelineMaker) -> Pipeline:
     return pipeline
 
 
-class Replay:
-    """Runs a recording through the same stages as fast as the machine can; no set is left out.
-
-    It is used like a :class:`LiveCapture`. The latency is the time that the pipeline takes.
-    """
-
-    dropped = sets_before_ready = recorded_minus_timestamp_ns = 0
-
-    def __init__(
-        self,
-        recording: Recording,
-        sync: SyncSettings | None = None,
-        make_pipeline: PipelineMaker = load_pipeline,
-    ) -> None:
-        """``make_pipeline`` is called with the recording, which has its backgrounds."""
-        self.pipeline = make_pipeline(recording)
-        self.ingest = FrameIngest(sync or SyncSettings(rate_hz=1e9 / recording.period_ns))
-        self.statistics, self.up, self.area_m = RunStatistics(), recording.up, recording.area_m
-        self._rig_watch = RigWatch(self.up, explain=True)
-        self._recording, self._now_ns = recording, 0
-        for camera in recording.rig.cameras:
-            if recording.stamps(camera.name):
-                self.ingest.add_camera(camera)
-        self.ingest.problems.update([*recording.problems, *self.pipeline.segment.problems])
-
-    @property
-    def cameras(self) -> dict[str, DepthCamera]:
-        """The cameras of the recording that have frames, by name."""
-        return dict(self.ingest.cameras)
-
-    def __enter__(self) -> Replay:
-        return self
-
-    def __exit__(self, *failure: object) -> None:
-        """Do nothing: no camera is open."""
-
-    @property
-    def problems(self) -> dict[str, int]:
-        """Messages for the user, one line each, and how often each occurred."""
-        return self.ingest.problems.counts()
-
-    def apart_m(self) -> dict[str, float]:
-        """How far apart the cameras see the person (metres), by the extrinsics check."""
-        return self._rig_watch.distances_m()
-
-    def statuses(self) -> list[CameraStatus]:
-        """The current status of every camera."""
-        return camera_statuses(self.ingest, dict.fromkeys(self.ingest.cameras, "running"), self._now_ns)
-
-    def __iter__(self) -> Iterator[LivePose]:
-        for synced in self.ingest.run(recorded_frames(self._recording, self.ingest.problems)):
-            self._now_ns = synced.timestamp_ns
-            start_s = time.perf_counter()
-            frames = frame_set(synced, self.ingest.cameras)
-            result = self.pipeline(frames)
-            latency_ms = (time.perf_counter() - start_s) * 1e3
-            self.ingest.problems.update([*self._rig_watch(frames, result.cloud), *mix_up_lines(result)])
-            yield _count_pose(self.statistics, LivePose(result.pose, synced, result, latency_ms))
-        self.ingest.problems.update(self._rig_watch.finish())
-
-
-def _count_pose(statistics: RunStatistics, live: LivePose) -> LivePose:
+def count_pose(statistics: RunStatistics, live: LivePose) -> LivePose:
+    """Count a pose in the statistics of a run, and give it."""
     visible = bool(live.pose.confidence.max() > 0)
     present = tuple(person.number for person in live.result.people)
     statistics.add(live.result.milliseconds, live.latency_ms, live.synced.skew_ns * 1e-6, visible, present)
@@ -385,7 +377,7 @@ def live(
 ) -> Iterator[Result]:
     """Results while cameras deliver, set by set; recordings play at their own speed.
 
-    Sets are left out if the machine is too slow; :class:`Replay` leaves out none of a recording.
+    Sets are left out if the machine is too slow; :class:`RecordedCapture` leaves out none of a recording.
 
     Args:
         sources: cameras as ``depthmocap record`` names them, recordings, or your own sources.

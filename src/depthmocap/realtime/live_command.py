@@ -33,8 +33,9 @@ from depthmocap.geometry import load_rig
 from depthmocap.geometry.depth_camera import time_offsets_s
 from depthmocap.offline.pipeline_settings import RIG_AREA, PipelineSettings, load_pipeline
 from depthmocap.realtime.dashboard import draw_dashboard
-from depthmocap.realtime.live_capture import LiveCapture, Replay
+from depthmocap.realtime.live_capture import LiveCapture
 from depthmocap.realtime.live_controls import LiveControls
+from depthmocap.realtime.recorded_capture import RecordedCapture
 from depthmocap.realtime.status import CameraStatus
 from depthmocap.realtime.sync import SyncSettings
 from depthmocap.realtime.take_recording import TakeRecording
@@ -166,7 +167,7 @@ def _check_settings(settings: LiveSettings) -> None:
         check_name("--record", settings.record)
 
 
-def _check_any_poses(capture: LiveCapture | Replay) -> None:
+def _check_any_poses(capture: LiveCapture | RecordedCapture) -> None:
     if capture.statistics.poses:
         return
     problems = joined(capture.problems, 3)
@@ -194,7 +195,7 @@ def _open_page(settings: LiveSettings, stack: contextlib.ExitStack, served: Page
     return page
 
 
-def _make_capture(settings: LiveSettings, console: Console, viewers: Sequence[Stream]) -> LiveCapture | Replay:
+def _make_capture(settings: LiveSettings, console: Console, viewers: Sequence[Stream]) -> LiveCapture | RecordedCapture:
     """``viewers`` get every result, as the streams of the settings do."""
     make_pipeline = functools.partial(load_pipeline, settings=settings)
     rig = load_rig(settings.rig) if settings.rig else None
@@ -212,7 +213,7 @@ def _make_capture(settings: LiveSettings, console: Console, viewers: Sequence[St
                 raise InputError(f"{option} needs --realtime: played as fast as it goes, a recording is not live")
             if settings.record is not None:
                 raise InputError("--record needs --realtime: played as fast as it goes, a recording is only read")
-            replay = Replay(recording, sync, make_pipeline)
+            replay = RecordedCapture(recording, sync, make_pipeline)
         for line in replay.pipeline.devices.lines():
             tell(line)
         return replay
@@ -222,7 +223,7 @@ def _make_capture(settings: LiveSettings, console: Console, viewers: Sequence[St
 
 
 def _write_poses(
-    capture: LiveCapture | Replay,
+    capture: LiveCapture | RecordedCapture,
     take: Take,
     files: PoseFiles,
     people_files: PeopleFiles | None,
@@ -263,7 +264,7 @@ def _write_poses(
 
 
 def _finish_files(
-    capture: LiveCapture | Replay,
+    capture: LiveCapture | RecordedCapture,
     files: PoseFiles,
     people_files: PeopleFiles | None,
     statuses: list[CameraStatus],

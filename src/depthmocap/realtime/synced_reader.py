@@ -195,11 +195,15 @@ class SyncedReader:
         self._reader.stop()
         self._thread.join(2 * POLL_S)
 
-    def sets(self) -> Iterator[SyncedSet]:
-        """Yield the newest set each time, until all sources are at their end or ``stop`` is called."""
+    def sets(self, leaving: Callable[[], bool] = lambda: False) -> Iterator[SyncedSet]:
+        """Yield the newest set each time, until all sources are at their end or ``stop`` is called.
+
+        Args:
+            leaving: whether no more are wanted; it is asked while none is there.
+        """
         while True:
             with self._changed:
-                while self._newest is None and not self._done:
+                while self._newest is None and not self._done and not leaving():
                     self._changed.wait(POLL_S)  # a limit, because some systems notice Ctrl-C only afterwards
                 newest, self._newest = self._newest, None
             if newest is None:
