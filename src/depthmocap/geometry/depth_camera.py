@@ -178,8 +178,11 @@ class DepthCamera:
 
     def to_metres(self, raw: UInt16[ndarray, "h w"]) -> Float[ndarray, "h w"]:
         """Raw sensor depth in metres (float32), mended. Raw 0 and the saturated 65535 are invalid: 0."""
-        unit_m = np.float32(self.depth_unit_m * self.depth_factor)
-        depth_m = np.where(raw == 65535, 0, raw).astype(np.float32) * unit_m
+        # In one pass: it is done with every frame of a running camera.
+        depth_m = np.multiply(raw, np.float32(self.depth_unit_m * self.depth_factor), dtype=np.float32)
+        saturated = raw == 65535
+        if saturated.any():
+            depth_m[saturated] = 0
         return np.ascontiguousarray(depth_m[:, ::-1]) if self.mirrored else depth_m
 
 

@@ -20,6 +20,7 @@ from numpy import ndarray
 
 from depthmocap.core.reading.image_files import check_picture_size, decode_png, png_header
 from depthmocap.errors import InputError, missing_extra
+from depthmocap.kernels.depth_planes import split_differences
 
 Coding = Literal["delta-zstd", "png", "raw"]
 CODINGS: tuple[Coding, ...] = get_args(Coding)
@@ -53,13 +54,8 @@ def encode_depth(raw: UInt16[ndarray, "h w"], coding: Coding = "delta-zstd") -> 
         done, data = cv2.imencode(".png", np.ascontiguousarray(raw), _PNG_OPTIONS)
         assert done
         return data.tobytes()
-    delta = raw.astype(np.uint16, order="C")  # a copy; differences wrap around, and back again
-    delta[:, 1:] -= raw[:, :-1]
-    signed = delta.view(np.int16)
-    folded = (signed << 1) ^ (signed >> 15)
     planes = np.empty((2, *raw.shape), np.uint8)
-    np.copyto(planes[0], folded, casting="unsafe")
-    np.copyto(planes[1], folded >> 8, casting="unsafe")
+    split_differences(np.ascontiguousarray(raw, np.uint16), planes[0], planes[1])
     compressor = getattr(_local, "compressor", None)
     if compressor is None:
         compressor = _local.compressor = _zstandard().ZstdCompressor(level=_ZSTD_LEVEL)

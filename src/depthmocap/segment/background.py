@@ -63,10 +63,14 @@ def _margin_m(depth_m: Float[ndarray, "*shape"]) -> Float[ndarray, "*shape"]:
 
 def foreground_limit(background_m: Float[ndarray, "h w"]) -> Float[ndarray, "h w"]:
     """Depth (metres) below which a pixel is foreground; ``FAR_M`` where the background is unknown."""
-    known = np.where(background_m > 0, background_m, FAR_M).astype(np.float32)
+    unknown = ~(background_m > 0)
+    filled_m = background_m.astype(np.float32)
+    filled_m[unknown] = FAR_M
     # Pinholes take the nearest depth around them. Otherwise they would be specks of foreground in every frame.
-    filled = np.where(known < FAR_M, known, cv2.erode(known, np.ones((5, 5), np.uint8)))
-    return np.where(filled < FAR_M, filled - _margin_m(filled), FAR_M).astype(np.float32)
+    np.copyto(filled_m, cv2.erode(filled_m, np.ones((5, 5), np.uint8)), where=unknown)
+    limit_m = filled_m - _margin_m(filled_m)
+    limit_m[filled_m >= FAR_M] = FAR_M
+    return limit_m
 
 
 class BackgroundModel:

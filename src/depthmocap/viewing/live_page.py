@@ -26,7 +26,7 @@ from depthmocap.viewing.viewer_page import Page, as_html, every, plain
 
 #: Most people that are drawn.
 MOST_PEOPLE = 8
-#: Seconds from one drawing of the cloud to the next,
+#: Seconds from one drawing of the cloud and of trails to the next,
 CLOUD_S = 0.1
 #: of depth pictures,
 PICTURES_S = 0.25
@@ -218,7 +218,7 @@ class LivePage(Stream):
         if not self.page.server.get_clients():
             return
         with self.page.server.atomic():
-            self._draw_people(sample)
+            self._draw_people(sample, self._is_due("trails", CLOUD_S))
             if self._is_due("cloud", CLOUD_S):
                 self._draw_cloud(sample)
             if self._is_due("words", WORDS_S):
@@ -235,7 +235,7 @@ class LivePage(Stream):
     def _poses(self) -> int | None:
         return None if self.controls is None else self.controls.poses
 
-    def _draw_people(self, sample: Sample) -> None:
+    def _draw_people(self, sample: Sample, with_trails: bool) -> None:
         drawn = list(sample.people.items())[:MOST_PEOPLE]
         for drawing, (number, pose) in zip(self._people, drawn, strict=False):
             flat = palette_colour(number - 1)
@@ -243,7 +243,8 @@ class LivePage(Stream):
             if self.colours.value == "by confidence":
                 colours = confidence_colours(pose.confidence)
             drawing.show(pose.joints, colours, f"person {number}" if len(drawn) > 1 else "")
-            drawing.show_trails(self._trails[number].poses if self.trails.value else (), flat)
+            if with_trails:
+                drawing.show_trails(self._trails[number].poses if self.trails.value else (), flat)
         for drawing in self._people[len(drawn) :]:
             drawing.hide()
 

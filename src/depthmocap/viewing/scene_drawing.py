@@ -131,11 +131,12 @@ class SceneDrawing:
         parts, part_colours = [], []
         for i, view in enumerate(views):
             points, depth_m, valid = camera_points(view, stride)
-            own = self.cameras.colour(view.camera.name) if colours == "camera" else _GREY
-            shown = distance_colours(depth_m.astype(np.float64), NEAREST_M, FARTHEST_M)
-            if colours != "depth":
+            if colours == "depth":
+                shown = distance_colours(depth_m.astype(np.float64), NEAREST_M, FARTHEST_M)
+            else:
+                own = self.cameras.colour(view.camera.name) if colours == "camera" else _GREY
                 near = 1.0 - 0.45 * np.clip((depth_m - NEAREST_M) / (FARTHEST_M - NEAREST_M), 0, 1)
-                shown = (near[:, None] * own).astype(np.uint8)
+                shown = (near[:, None] * own.astype(np.float32)).astype(np.uint8)
             if colours == "body part" and i < len(labels):
                 regions = labels[i][::stride, ::stride][valid]
                 shown = np.where(regions[:, None] > 0, colour_labels(regions[None])[0], shown)
