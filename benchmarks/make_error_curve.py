@@ -62,7 +62,7 @@ def _labelled(classifier: Classifier, sample: Sample) -> list[LabelledView]:
     return [LabelledView(view, *result.prediction) for view, result in zip(sample.views, results, strict=True)]
 
 
-def main(postures: Path, samples: int = 300, seed: int = 1) -> None:
+def main(postures: tyro.conf.Positional[Path], samples: int = 300, seed: int = 1) -> None:
     """Print the rows of the curve.
 
     Args:

@@ -85,3 +85,14 @@ def test_the_cloud_has_them_put_right() -> None:
     np.testing.assert_array_equal(cloud.labels, right.labels)
     for a, b in zip(cloud.joints, right.joints, strict=True):
         assert a is not None and b is not None and np.array_equal(a, b)
+
+
+def test_a_view_that_the_network_of_fronts_was_asked_about_does_not_outvote_the_others() -> None:
+    """Its odds are of another scale than those of labels: with them alone it would overrule two sure views."""
+    asked = part(0, 0.55, mirrored=True)._replace(front_log_odds=8.0)
+    parts = [asked, part(1, 0.7), part(2, 0.7)]
+    corrected = undo_mirrored(parts)
+    assert same(corrected[0], part(0, 0.55)) and corrected[1] is parts[1] and corrected[2] is parts[2]
+    assert corrected[0].front_log_odds == -8.0
+    doubtful = part(0, 0.75, mirrored=True)._replace(front_log_odds=0.1)  # labels are sure, the network is not
+    assert same(undo_mirrored([doubtful, part(1, 0.6)])[0], part(0, 0.75))
