@@ -211,19 +211,21 @@ class NetworkSegmenter:
 
 
 def probability_in_views(points: Float[ndarray, "n 3"], detected: Sequence[DetectedPeople]) -> float:
-    """The mean probability that points show a person, over all views that see them: one view alone may err.
+    """The probability that points show a person, by the mean of the log odds of all views that see them: one view alone
+    may err, and one that is sure says more than one that is not.
 
     Returns:
         0–1; 0 where no view sees the points.
     """
     points = points[:: max(len(points) // _POINTS, 1)]
-    of_views = []
+    log_odds = []
     for view in detected:
         rows, columns, beyond_m = _samples_behind(view, points)
         seen = (rows >= 0) & (np.abs(beyond_m) < STEP_M)
         if np.count_nonzero(seen) >= _LEAST_SEEN * len(points):
-            of_views.append(float(np.mean(1 / (1 + np.exp(-view.logits[rows[seen], columns[seen]])))))
-    return float(np.mean(of_views)) if of_views else 0.0
+            share = float(np.mean(1 / (1 + np.exp(-view.logits[rows[seen], columns[seen]]))))
+            log_odds.append(np.log((share + 1e-3) / (1 - share + 1e-3)))
+    return float(1 / (1 + np.exp(-np.mean(log_odds)))) if log_odds else 0.0
 
 
 def is_open(place: Float[ndarray, "3"], detected: Sequence[DetectedPeople]) -> bool:

@@ -28,7 +28,13 @@ from depthmocap.synth.scenes.worn import worn_object
 from depthmocap.synth.sensing.sensors import SensorPreset
 
 #: Probability of 0, 1, 2, … people.
-_COUNTS = (0.18, 0.36, 0.23, 0.11, 0.07, 0.05)
+_COUNTS = (0.25, 0.32, 0.21, 0.10, 0.07, 0.05)
+#: Probability of 0, 1, 2, … things that resemble people.
+_LOOKALIKES = (0.2, 0.25, 0.25, 0.2, 0.1)
+#: Share of cameras that look at a person where there are people,
+_AT_PEOPLE = 0.7
+#: and of the others that look at what resembles one.
+_AT_LOOKALIKES = 0.6
 #: Share of further people who are put beside another one, near enough to touch.
 _BESIDE = 0.6
 #: People stand within this distance of the room's middle (metres).
@@ -90,6 +96,7 @@ class PopulatedScene:
         dolls: small figures, which are no people.
         blankets: over people who lie.
         solids: everything else.
+        lookalikes: the middles of things that resemble people.
         low, high: corners of the part of the room where cameras may stand.
     """
 
@@ -97,6 +104,7 @@ class PopulatedScene:
     dolls: tuple[PosedPerson, ...]
     blankets: tuple[Layer, ...]
     solids: Solids
+    lookalikes: Float[ndarray, "n 3"]
     low: Float[ndarray, "3"]
     high: Float[ndarray, "3"]
 
@@ -109,11 +117,13 @@ class PopulatedScene:
         """A camera in the room that looks at somebody or at any place; None where a few tries find no free place."""
         reach = preset.range_m[1]
         for _ in range(_TRIES):
-            if self.people and rng.random() < 0.85:
+            if self.people and rng.random() < _AT_PEOPLE:
                 person = self.people[int(rng.integers(len(self.people)))]
                 middle = rng.random() < 0.5
                 joint = trunk_centre(person.joints) if middle else person.joints[int(rng.integers(len(person.joints)))]
                 target = joint + rng.normal(0, 0.35, 3)
+            elif len(self.lookalikes) and rng.random() < _AT_LOOKALIKES:
+                target = self.lookalikes[int(rng.integers(len(self.lookalikes)))] + rng.normal(0, 0.35, 3)
             else:
                 target = rng.uniform(self.low, self.high) * [1, 1, 0.6]
             nearest, farthest = _DISTANCES[int(rng.choice(len(_DISTANCES), p=[share for share, _ in _DISTANCES]))][1]
@@ -205,11 +215,13 @@ def populated_scene(
     pieces: list[Solids] = []
     if len(shell):
         pieces = furnish(rng, place, shell, int(rng.integers(0, 14)), 0.0, against_walls=True)
-    for _ in range(int(rng.choice([0, 1, 2, 3], p=[0.3, 0.35, 0.2, 0.15]))):
-        pieces.append(_standing(rng, LOOKALIKES[int(rng.integers(len(LOOKALIKES)))](rng), place, low, high))
-    solids = join([shell, *supports, *objects, *pieces])
+    count = int(rng.choice(len(_LOOKALIKES), p=_LOOKALIKES))
+    drawn = [LOOKALIKES[i](rng) for i in rng.integers(len(LOOKALIKES), size=count)]
+    lookalikes = [piece for piece in (_standing(rng, piece, place, low, high) for piece in drawn) if len(piece)]
+    middles = np.array([piece.corners.reshape(-1, 3).mean(0) for piece in lookalikes]).reshape(-1, 3)
+    solids = join([shell, *supports, *objects, *pieces, *lookalikes])
     margin = np.array([0.15, 0.15, 0.1])
-    return PopulatedScene(tuple(people), dolls, tuple(blankets), solids, low + margin, high - margin)
+    return PopulatedScene(tuple(people), dolls, tuple(blankets), solids, middles, low + margin, high - margin)
 
 
 def _draw_people(
