@@ -127,3 +127,21 @@ def test_a_network_of_another_version_is_refused(exported: tuple[PaperNet, Path]
     onnx.save(model, tmp_path / "other.onnx")
     with pytest.raises(InputError, match=rf"other\.onnx holds a network .{name}. with logits, .* knows .fast. with"):
         Classifier(tmp_path / "other.onnx")
+
+
+def test_two_views_at_once_give_what_each_gives_alone() -> None:
+    """More views than threads: some of one size are seen together."""
+    rng, views, masks = np.random.default_rng(2), [], []
+    camera = DepthCamera("front", 160, 240, 180.0, 180.0, 80.0, 120.0)
+    for width in (40, 90, 42, 0, 41):
+        mask = np.zeros((240, 160), bool)
+        mask[20:220, 80 - width // 2 : 80 + width // 2] = True
+        depth_m = np.where(mask, 2 + rng.normal(0, 0.01, mask.shape), 0).astype(np.float32)
+        views.append(View(camera, depth_m))
+        masks.append(mask)
+    few, many = Classifier(threads=1), Classifier(threads=8)
+    together, alone = few.label_views(views, masks, "z"), many.label_views(views, masks, "z")
+    assert sum(prediction.confidence.any() for prediction in alone) == 4
+    for one, other in zip(together, alone, strict=True):
+        for here, there in zip(one, other, strict=True):
+            np.testing.assert_array_equal(here, there)

@@ -112,6 +112,16 @@ class LabelledMask:
     window_prediction: WindowPrediction | None
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Shown:
+    """A view turned upright by quarters, and the window in which the network sees the person; None without one."""
+
+    view: View
+    mask: Bool[ndarray, "_ _"]
+    quarters: int
+    window: Window | None
+
+
 def _no_joints() -> Float[ndarray, "18 4"]:
     return np.full((len(JOINTS), 4), np.nan)
 
@@ -121,8 +131,8 @@ class Classifier:
 
     Labels that take a back for a front, or a front for a back, are turned round (``FrontNetwork``).
 
-    Views are labelled in parallel, each by one thread from the depth image to the labels. Threads inside the network
-    would wait for each other after every layer.
+    Views are labelled in parallel, each by one thread from the depth image to the labels, or two at once where there
+    are more views than threads. Threads inside the network would wait for each other after every layer.
 
     Attributes:
         path: of its file.
@@ -157,19 +167,34 @@ class Classifier:
         self.make_window: WindowMaker = WINDOW_MAKERS[name]
         self._read = _READERS[name]
         self._front = FrontNetwork() if fronts and self.predicts_joints else None
-        self._pool = ThreadPoolExecutor(threads or usable_cores())
+        self._threads = threads or usable_cores()
+        self._pool = ThreadPoolExecutor(self._threads)
 
     def label_window(self, window: Window) -> WindowPrediction:
         """The prediction for a window; labels are 0 outside the person."""
-        outputs = self._session.run(None, {"windows": window.inputs[None]})
-        mask = window.inputs[1] > 0
-        labels, confidence = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
-        scores = np.asarray(outputs[0])
-        self._read(scores if self._read is label_groups else scores[0], mask, labels, confidence)
-        joints = np.asarray(outputs[1], np.float64)[0] if self.predicts_joints else _no_joints()
-        prediction = WindowPrediction(labels, confidence, joints)
+        return self._label_windows([window])[0]
+
+    def _label_windows(self, windows: Sequence[Window]) -> list[WindowPrediction]:
+        """The predictions for windows of one size by one run of the network, each as if it were alone."""
+        inputs = windows[0].inputs[None] if len(windows) == 1 else np.stack([window.inputs for window in windows])
+        outputs = [np.asarray(output) for output in self._session.run(None, {"windows": inputs})]
+        predictions, first = [], 0
+        for i, window in enumerate(windows):
+            mask = window.inputs[1] > 0
+            labels, confidence = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
+            if self._read is label_groups:  # which has the groups of one window after those of the other
+                first += self._read(outputs[0][first:], mask, labels, confidence)
+            else:
+                self._read(outputs[0][i], mask, labels, confidence)
+            joints = outputs[1][i].astype(np.float64) if self.predicts_joints else _no_joints()
+            predictions.append(self._with_front(WindowPrediction(labels, confidence, joints), window))
+        return predictions
+
+    def _with_front(self, prediction: WindowPrediction, window: Window) -> WindowPrediction:
+        """The prediction with the log odds of its front, and turned round where these say so."""
         if self._front is None:
             return prediction
+        labels, confidence = prediction.labels, prediction.confidence
         labelled, facing = max(int(np.count_nonzero(labels)), 1), confidence[_FACING[labels]]
         lower_legs = int(np.count_nonzero(_LOWER_LEGS[labels]))
         if lower_legs >= _FEWEST_LOWER_LEGS * labelled and len(facing) >= _LEAST_FACING * labelled:
@@ -181,17 +206,21 @@ class Classifier:
     def label_mask(self, view: View, mask: Bool[ndarray, "_ _"]) -> LabelledMask:
         """The prediction for a view, without turning the image upright."""
         window = self.make_window(view.depth_m, mask, view.camera)
-        if window is None:
+        return self._labelled(view, mask, window, None if window is None else self.label_window(window))
+
+    def _labelled(
+        self, view: View, mask: Bool[ndarray, "_ _"], window: Window | None, found: WindowPrediction | None
+    ) -> LabelledMask:
+        """The prediction for a view from that for its window."""
+        if window is None or found is None:
             empty = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
             return LabelledMask(ViewPrediction(*empty, _no_joints()), None, None)
-        window_prediction = self.label_window(window)
-        labels, confidence = window.labels_to_image(window_prediction.labels, window_prediction.confidence, mask)
-        joints = window_prediction.joints
+        labels, confidence = window.labels_to_image(found.labels, found.confidence, mask)
+        joints = found.joints
         if self.predicts_joints:
             positions = window.positions_to_world(joints[:, :3], view.camera)
             joints = np.concatenate([positions, np.exp(joints[:, 3:])], 1)
-        prediction = ViewPrediction(labels, confidence, joints, window_prediction.front_log_odds)
-        return LabelledMask(prediction, window, window_prediction)
+        return LabelledMask(ViewPrediction(labels, confidence, joints, found.front_log_odds), window, found)
 
     def label_masks(self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]) -> Iterator[LabelledMask]:
         """The predictions for the views, in order, without turning the images upright."""
@@ -208,17 +237,50 @@ class Classifier:
                 because the network is trained on upright cameras.
         """
         pairs = list(zip(views, masks, strict=True))
-        upright = None if up is None else z_up_from(up)[2]
-        return list(self._pool.map(lambda pair: self._label_upright(pair[0], pair[1], upright), pairs))
+        up_world = None if up is None else z_up_from(up)[2]
+        if len(pairs) <= self._threads:
+            return list(self._pool.map(lambda pair: self._label_upright(pair[0], pair[1], up_world), pairs))
+        shown = list(self._pool.map(lambda pair: self._show_upright(pair[0], pair[1], up_world), pairs))
+        found: list[WindowPrediction | None] = [None] * len(shown)
+
+        def label(places: list[int]) -> None:
+            windows = [window for place in places if (window := shown[place].window) is not None]
+            for place, prediction in zip(places, self._label_windows(windows), strict=True):
+                found[place] = prediction
+
+        for _ in self._pool.map(label, _by_twos([each.window for each in shown])):
+            pass
+        return list(self._pool.map(self._prediction, shown, found))
 
     def _label_upright(
         self, view: View, mask: Bool[ndarray, "_ _"], up_world: Float[ndarray, "3"] | None
     ) -> ViewPrediction:
+        shown = self._show_upright(view, mask, up_world)
+        return self._prediction(shown, None if shown.window is None else self.label_window(shown.window))
+
+    def _show_upright(self, view: View, mask: Bool[ndarray, "_ _"], up_world: Float[ndarray, "3"] | None) -> _Shown:
         quarters = 0 if up_world is None else view.camera.quarters_upright(up_world)
-        if not quarters:
-            return self.label_mask(view, mask).prediction
-        turned = View(view.camera, view.depth_m, mask).turned(quarters)
-        assert turned.mask is not None
-        prediction = self.label_mask(turned, turned.mask).prediction
-        labels, confidence = (np.ascontiguousarray(np.rot90(image, -quarters)) for image in prediction[:2])
+        if quarters:
+            view = View(view.camera, view.depth_m, mask).turned(quarters)
+            assert view.mask is not None
+            mask = view.mask
+        return _Shown(view, mask, quarters, self.make_window(view.depth_m, mask, view.camera))
+
+    def _prediction(self, shown: _Shown, found: WindowPrediction | None) -> ViewPrediction:
+        """The prediction for a view as the camera has it."""
+        prediction = self._labelled(shown.view, shown.mask, shown.window, found).prediction
+        if not shown.quarters:
+            return prediction
+        labels, confidence = (np.ascontiguousarray(np.rot90(image, -shown.quarters)) for image in prediction[:2])
         return prediction._replace(labels=labels, confidence=confidence)
+
+
+def _by_twos(windows: Sequence[Window | None]) -> list[list[int]]:
+    """Places of windows that the network sees at once: two of one size, which take a tenth less time together than one
+    after the other; the largest first, so that threads end at about the same time."""
+    by_size: dict[tuple[int, ...], list[int]] = {}
+    for place, window in enumerate(windows):
+        if window is not None:
+            by_size.setdefault(window.inputs.shape, []).append(place)
+    twos = [(np.prod(size), places[i : i + 2]) for size, places in by_size.items() for i in range(0, len(places), 2)]
+    return [places for size, places in sorted(twos, key=lambda two: (-two[0] * len(two[1]), two[1]))]

@@ -7,7 +7,7 @@ import numpy as np
 @numba.njit(cache=True, fastmath=True, nogil=True)
 def label_groups(probabilities, mask, labels, confidence):
     """The most probable class and its probability at the masked pixels of a window; ``labels`` and ``confidence`` must
-    be zero before.
+    be zero before. Gives the number of groups.
 
     ``probabilities`` are (m, 4, classes): for the m groups of 2×2 pixels that contain a masked one, and for the pixels
     of a group, both in row-major order.
@@ -31,3 +31,4 @@ def label_groups(probabilities, mask, labels, confidence):
                 labels[v, u] = index
                 confidence[v, u] = best
             group += has_masked
+    return group

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -96,6 +96,8 @@ class NetworkSegmenter:
         #: By camera: what its last image showed, and how many of these in a row were seen in part.
         self._last: dict[str, tuple[DetectedPeople, int]] = {}
         self._pool = ThreadPoolExecutor(max_workers=4)
+        #: What is learnt of the empty scene from the last set: nobody waits for it before the next one.
+        self._learning: list[Future[None]] = []
         self._at_start = PersonTracker()
         self.reset()
 
@@ -131,6 +133,8 @@ class NetworkSegmenter:
         if all(view.mask is not None for view in views):
             masks = tuple(view.mask for view in views if view.mask is not None)
             return (PersonMasks(1, masks),) if any(mask.any() for mask in masks) else ()
+        while self._learning:
+            self._learning.pop().result()
         depths = [np.ascontiguousarray(view.depth_m, np.float32) for view in views]
         grids = [self._grid(view) for view in views]
         limits = [self._limit(view) for view in views]
@@ -204,7 +208,9 @@ class NetworkSegmenter:
         for view, depth_m, people in zip(frames.views, depths, detected, strict=True):
             background = self._backgrounds[view.camera.name]
             if background.is_due(frames.timestamp_ns):
-                background.update(depth_m, _occupied(people, depth_m.shape), frames.timestamp_ns)
+                self._learning.append(
+                    self._pool.submit(_update_background, background, depth_m, people, frames.timestamp_ns)
+                )
 
     def _select(self, cameras: Sequence[DepthCamera]) -> list[PersonTrack]:
         return self._follower(self._tracker.active, self.people, lambda track: track.centre_m, cameras)
@@ -301,6 +307,12 @@ def _paint(
         depth_m, limit_m, grid.row_starts, grid.column_starts, detected.samples_m, of_samples, beyond, STEP_M, out
     )
     return out
+
+
+def _update_background(
+    background: BackgroundModel, depth_m: ndarray, people: DetectedPeople, timestamp_ns: int
+) -> None:
+    background.update(depth_m, _occupied(people, depth_m.shape), timestamp_ns)
 
 
 def _occupied(detected: DetectedPeople, shape: tuple[int, int]) -> Bool[ndarray, "h w"]:
