@@ -11,6 +11,7 @@ import pytest
 from camera_simulator import SimulatedCamera, Simulation
 from fakes import Board, FakeClassifier, FakeEstimator, fake_pipeline
 
+from depthmocap.cameras.source import DepthFrame
 from depthmocap.offline.pipeline import Pipeline
 from depthmocap.realtime.live_capture import LiveCapture
 from depthmocap.realtime.look_ahead import LookAhead
@@ -75,6 +76,23 @@ def test_a_slow_consumer_gets_the_newest_set(virtual: Any) -> None:
             ages_s.append(virtual.monotonic() - live.synced.timestamp_ns * 1e-9)
             virtual.sleep(0.42)
     assert max(ages_s[2:-1]) < 2 / RATE  # after the last one no newer comes
+
+
+def test_every_frame_is_recorded_while_sets_are_left_out(virtual: Any) -> None:
+    class Recorder:
+        def __init__(self) -> None:
+            self.frames: list[tuple[str, int]] = []
+
+        def write(self, frame: DepthFrame) -> None:
+            self.frames.append((frame.camera, frame.timestamp_ns))
+
+    recorder = Recorder()
+    capture = capture_of(virtual, Timed(virtual, 0.12, 0.1), 2.0, overlap=True)
+    capture.reader.recorder = recorder
+    with capture:
+        poses = sum(1 for _ in capture)
+    assert poses < 20 and capture.dropped > 20
+    assert len(set(recorder.frames)) == len(recorder.frames) == 80
 
 
 def test_an_error_of_the_first_half_comes_after_the_poses_before_it(virtual: Any) -> None:

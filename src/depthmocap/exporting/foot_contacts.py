@@ -12,7 +12,6 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
-from scipy.ndimage import gaussian_filter1d
 
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.geometry import rotation_between
@@ -71,6 +70,8 @@ def _stands(ankle: Float[ndarray, "t 3"], frame_s: float, settings: ContactSetti
         return np.zeros(len(ankle), dtype=bool)
     index = np.flatnonzero(known)
     path = np.stack([np.interp(np.arange(len(ankle)), index, axis[index]) for axis in ankle.T], 1)
+    from scipy.ndimage import gaussian_filter1d  # slow to import
+
     smooth = gaussian_filter1d(path, max(settings.smooth_s / frame_s, 1e-3), axis=0, mode="nearest")
     speed = np.linalg.norm(np.gradient(smooth, frame_s, axis=0), axis=-1)
     stands = known & (speed < settings.slow_mps)

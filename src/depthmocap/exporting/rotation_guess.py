@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
-from scipy.ndimage import gaussian_filter1d
 
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.exporting.learnt_rotations import LOOKED_BACK_S, RotationNetwork, nearest_rotations
@@ -52,6 +51,8 @@ def likely_now(
     """As :func:`likely_rotations`, of joints now and at ``LOOKED_BACK_S``."""
     rotations = RotationNetwork.load()(window, float(np.linalg.norm(offsets, axis=-1).sum()))
     if smooth_frames > 0:
+        from scipy.ndimage import gaussian_filter1d  # slow to import
+
         rotations = nearest_rotations(gaussian_filter1d(rotations, smooth_frames, axis=0, mode="nearest"))
     return with_hinges(rotations, window[0])
 

@@ -8,7 +8,6 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
-from scipy.optimize import linear_sum_assignment
 
 from depthmocap.segment.departed import AWAY_S, Departed, match_stature
 from depthmocap.segment.occupancy_map import CELL_M, Blobs
@@ -111,6 +110,8 @@ class PeopleTracker:
         # The centre of a wide blob is farther from the people in it.
         cost = np.maximum(gaps - blobs.sizes_m[:, 0] / 4, 0.2 * gaps) + HEIGHT_WEIGHT * np.minimum(height_cost, 1.0)
         cost[(cost > gates[:, None]) | (blobs.areas_m2 < SPECK_M2)] = 1e3
+        from scipy.optimize import linear_sum_assignment  # slow to import
+
         rows, columns = linear_sum_assignment(cost)
         inside: dict[int, list[int]] = {}
         for row, column in zip(rows.tolist(), columns.tolist(), strict=True):

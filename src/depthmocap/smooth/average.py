@@ -15,7 +15,6 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Float64
 from numpy import ndarray
-from scipy.optimize import nnls
 
 from depthmocap.errors import InputError
 from depthmocap.frames import Pose
@@ -182,6 +181,8 @@ def _solve_weights(gram: ndarray, nonnegative: bool) -> ndarray:
         # Minimising μᵀ G μ + (Σ μ − 1)² gives the same direction: at the best length it is f / (1 + f), increasing in
         # f = λᵀ G λ of the normalised λ.
         root = np.linalg.cholesky(gram).T
+        from scipy.optimize import nnls  # slow to import
+
         solution, _ = nnls(np.vstack([root, np.ones(size)]), np.append(np.zeros(size), 1.0))
     else:
         solution = np.linalg.solve(gram, np.ones(size))
