@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+import types
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -17,7 +18,8 @@ from depthmocap.frames import FrameSet
 from depthmocap.geometry import Rig
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.streaming.stream_protocol import Sample, StreamSetup
-from depthmocap.viewing.live_page import LivePage, camera_words, following, labels_in_views
+from depthmocap.viewing import live_page as module
+from depthmocap.viewing.live_page import LATE_DRAWING_S, LivePage, camera_words, following, labels_in_views
 from depthmocap.viewing.live_plots import LivePlots
 from depthmocap.viewing.viewer_page import Page
 
@@ -72,6 +74,24 @@ def test_what_comes_is_drawn_while_somebody_looks(live: LivePage, frames: FrameS
     live.send(dataclasses.replace(sample(2), people={}))
     live.close()
     assert "has ended" in live.status.content
+
+
+def test_a_machine_that_is_too_slow_draws_less_often(
+    live: LivePage, frames: FrameSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sample, controls, drawn = begin(live, frames), Controls(), list[int]()
+    live.controls = controls
+    monkeypatch.setattr(live, "_draw_people", lambda sample, trails: drawn.append(len(drawn)))
+    monkeypatch.setattr(live, "_draw_cloud", lambda sample: None)
+    now_s = 100.0
+    clock = types.SimpleNamespace(monotonic=lambda: now_s, monotonic_ns=time.monotonic_ns)
+    monkeypatch.setattr(module, "time", clock)
+    with ViewerClient(live.page):
+        for i in range(60):
+            now_s = 100 + i / 30
+            controls.dropped += i == 30
+            live.send(sample(i))
+    assert len(drawn) - 30 == pytest.approx(1 / LATE_DRAWING_S, abs=1)
 
 
 def test_the_area_is_drawn_on_the_floor(live: LivePage) -> None:

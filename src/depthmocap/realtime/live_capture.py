@@ -43,6 +43,8 @@ SLOW_S = 2.0
 #: After so long (seconds) Python takes turns between threads. By its usual 5 ms a stage that comes out of a network or
 #: a kernel waits as long for a thread that draws or sends.
 _SWITCH_S = 0.0005
+#: Where sets are left out, because the machine is too slow, the rig is watched in one of so many.
+_WATCHED_LATE = 3
 #: A consumer who is back within this (seconds) gets a set that was begun meanwhile.
 _QUICK_S = 0.03
 #: Frames over which the difference to a recording's clock is taken.
@@ -135,6 +137,7 @@ class LiveCapture:
         self.area_m = rig.area_m if rig else (sources[0].area_m if sources else ())
         self._recorded_minus: list[int] = []
         self._rig_watch = RigWatch(self.up, explain=True)
+        self._seen_dropped = 0
         self._between_sets: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._overlap = usable_cores() > 1 if overlap is None else overlap
         self._switch_s = sys.getswitchinterval()
@@ -305,7 +308,11 @@ class LiveCapture:
         self._send(result, frames)
         arrival_ns = max(frame.arrival_ns for frame in synced.frames.values())
         latency_ms = (time.monotonic_ns() - arrival_ns) * 1e-6
-        self.reader.problems.update([*self._rig_watch(frames, result.cloud), *mix_up_lines(result)])
+        dropped = self.reader.dropped
+        late, self._seen_dropped = dropped > self._seen_dropped, dropped
+        if not late or self.statistics.poses % _WATCHED_LATE == 0:
+            self.reader.problems.update(self._rig_watch(frames, result.cloud))
+        self.reader.problems.update(mix_up_lines(result))
         if len(self._recorded_minus) < _FIRST_FRAMES:
             self._recorded_minus += [
                 McapRecorder.recorded_ns(frame, self.unix_minus_monotonic_ns) - synced.times_ns[name]

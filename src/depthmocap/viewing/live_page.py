@@ -32,6 +32,8 @@ CLOUD_S = 0.1
 PICTURES_S = 0.25
 #: and of plots and words.
 WORDS_S = 0.5
+#: For so long (seconds) after a set was left out, because the machine is too slow, the page is drawn only so often.
+LATE_S, LATE_DRAWING_S = 2.0, 0.1
 #: Seconds in which stopping must be clicked again.
 _ASKED_S = 5.0
 #: Longest side of a depth picture on the page (pixels).
@@ -100,6 +102,8 @@ class LivePage(Stream):
         self._stamp_ns: int | None = None
         self._stop_asked_s = -_ASKED_S
         self._next_s: dict[str, float] = {}
+        self._dropped: int | None = None
+        self._late_until_s = 0.0
         self._trails: dict[int, Trail] = {}
         self._moved: tuple[str, ...] = ()
 
@@ -205,6 +209,16 @@ class LivePage(Stream):
         self._next_s[what] = now_s + every_s
         return True
 
+    def _is_late(self) -> bool:
+        """Whether sets were left out just now: what the page takes of the machine is then missing elsewhere."""
+        if self.controls is None:
+            return False
+        now_s, dropped = time.monotonic(), self.controls.dropped
+        if self._dropped is not None and dropped > self._dropped:
+            self._late_until_s = now_s + LATE_S
+        self._dropped = dropped
+        return now_s < self._late_until_s
+
     def send(self, sample: Sample) -> None:
         """Draw a sample, for the browsers that look on."""
         assert self._drawing is not None
@@ -215,7 +229,7 @@ class LivePage(Stream):
             self._trails.setdefault(number, Trail()).add(pose.joints, pose.timestamp_ns)
         for number in [number for number in self._trails if number not in sample.people]:
             del self._trails[number]
-        if not self.page.server.get_clients():
+        if not self.page.server.get_clients() or (self._is_late() and not self._is_due("all", LATE_DRAWING_S)):
             return
         with self.page.server.atomic():
             self._draw_people(sample, self._is_due("trails", CLOUD_S))
