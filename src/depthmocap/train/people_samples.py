@@ -15,6 +15,7 @@ from depthmocap.geometry.transforms import transform_points
 from depthmocap.segment.depth_grid import CELL_FOCAL_PX, CHANNELS, DepthGrid
 from depthmocap.synth.body.mesh import BodyModel
 from depthmocap.synth.motion.extreme_postures import rest_on_floor
+from depthmocap.synth.motion.lying import lying_posture
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, Variation, posture_source
 from depthmocap.synth.people.bodies import random_dressed_body, random_phenotype
 from depthmocap.synth.people.garments import DressedBody, clothe
@@ -43,7 +44,9 @@ _INFANTS = 0.2
 #: Share of those less than about a year old among them.
 _BABIES = 0.4
 #: Share of people who lie, besides those of recordings.
-_LIE = 0.15
+_LIE = 0.2
+#: Share of them who lie at rest.
+_AT_REST = 0.7
 #: Children smaller than this (metres) lie more often,
 _INFANT_M = 0.95
 #: with this probability.
@@ -98,7 +101,7 @@ class PeopleScenes:
         body = self._bodies[int(rng.integers(len(self._bodies)))]
         posture = self._postures.sample(rng)[0]
         if rng.random() < (_INFANTS_LIE if _height_m(body) < _INFANT_M else _LIE):
-            posture = rest_on_floor(posture, rng)
+            posture = lying_posture(rng) if rng.random() < _AT_REST else rest_on_floor(posture, rng)
         return pose_in_clothes(body, posture, rng)
 
 

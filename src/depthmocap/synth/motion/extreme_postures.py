@@ -112,7 +112,7 @@ def random_bone_angles(posture: Float[ndarray, "20 3"], rng: np.random.Generator
 
 
 @dataclasses.dataclass(frozen=True)
-class _Leg:
+class LegAngles:
     """Joint angles of a leg (radians)."""
 
     flexion: float
@@ -136,17 +136,16 @@ class _Leg:
         }
 
 
-def _random_leg(rng: np.random.Generator) -> _Leg:
+def _random_leg(rng: np.random.Generator) -> LegAngles:
     flexion = rng.uniform(-35, 135)
     # Splits, scales and kicks need straight legs.
     knee = rng.uniform(0, 12) if rng.random() < 0.4 else rng.uniform(0, 150)
     degrees = (flexion, rng.uniform(-12, 45) if rng.random() < 0.7 else rng.uniform(30, 85),
                rng.normal(0, 22), knee, rng.uniform(-45, 20), rng.normal(0, 10))  # fmt: skip
-    return _Leg(*np.deg2rad(degrees))
+    return LegAngles(*np.deg2rad(degrees))
 
 
 def _random_arm(rng: np.random.Generator, side: str) -> dict[str, Float[ndarray, "3"]]:
-    upper, fore = f"upper_arm.{side}", f"forearm.{side}"
     out = -1.0 if side == "R" else 1.0
     tries = 0
     while True:
@@ -158,15 +157,30 @@ def _random_arm(rng: np.random.Generator, side: str) -> dict[str, Float[ndarray,
         fits = inward < (0.75 if backward < 0 else 0.1) and not (backward > 0.75 and direction[2] > 0)
         if fits or tries == 50:
             break
-    swing = rotation_between(_AXES[POSTURE_INDEX[upper]], direction)
-    twist = Rotation.from_rotvec(_AXES[POSTURE_INDEX[upper]] * np.deg2rad(rng.uniform(-60, 60)))
-    hinge = np.cross(_AXES[POSTURE_INDEX[upper]], _AXES[POSTURE_INDEX[fore]])
+    twist, turned = np.deg2rad(rng.uniform(-60, 60, 2))
     bent = np.deg2rad(rng.uniform(-10, 25) if rng.random() < 0.35 else rng.uniform(0, 135))
-    turned = Rotation.from_rotvec(_AXES[POSTURE_INDEX[fore]] * np.deg2rad(rng.uniform(-60, 60)))
+    return {**arm_rotations(side, direction, twist, bent, turned), f"hand.{side}": np.deg2rad(rng.normal(0, 25, 3))}
+
+
+def arm_rotations(
+    side: str, direction: Float[ndarray, "3"], twist: float, bent: float, turned: float
+) -> dict[str, Float[ndarray, "3"]]:
+    """Rotation vectors of an arm's posture bones.
+
+    Args:
+        direction: of the upper arm against the trunk, which faces −Y with its left at +X.
+        twist, bent, turned: of the upper arm about its length, of the elbow, and of the forearm about its length
+            (radians).
+    """
+    upper, fore = f"upper_arm.{side}", f"forearm.{side}"
+    upper_axis, fore_axis = _AXES[POSTURE_INDEX[upper]], _AXES[POSTURE_INDEX[fore]]
+    swing = Rotation.from_matrix(rotation_between(upper_axis, direction))
+    hinge = np.cross(upper_axis, fore_axis)
     return {
-        upper: (Rotation.from_matrix(swing) * twist).as_rotvec(),
-        fore: (Rotation.from_rotvec(hinge / np.linalg.norm(hinge) * bent) * turned).as_rotvec(),
-        f"hand.{side}": np.deg2rad(rng.normal(0, 25, 3)),
+        upper: (swing * Rotation.from_rotvec(upper_axis * twist)).as_rotvec(),
+        fore: (
+            Rotation.from_rotvec(hinge / np.linalg.norm(hinge) * bent) * Rotation.from_rotvec(fore_axis * turned)
+        ).as_rotvec(),
     }
 
 
