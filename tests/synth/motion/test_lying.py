@@ -19,6 +19,6 @@ def test_people_lie_flat_as_people_can(default_body: Body) -> None:
         fits += bool(within_limits(posture[None])[0]) and not self_intersects(posture)
         joints = default_body.bone_transforms(posture).heads[model.joint_bones]
         trunk = joints[JOINT_INDEX["Neck"]] - joints[JOINT_INDEX["Hip"]]
-        assert trunk[1] > 0.8 * np.linalg.norm(trunk)  # the head towards +Y
+        assert trunk[1] > 0.7 * np.linalg.norm(trunk)  # the head towards +Y
         assert np.ptp(joints[:, 2]) < 0.8 < np.ptp(joints[:, 1])
     assert fits >= 28
