@@ -13,7 +13,7 @@ import collections
 import dataclasses
 import itertools
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,8 @@ PICTURES: dict[str, tuple[str, float]] = {
 }  # fmt: skip
 #: Pictures that went through the network in another unit.
 SCALES = {"half": 0.5, "0.7": 0.7}
+#: What goes through the network of every picture.
+VARIANTS = ("plain", "mirror", "rot2", *SCALES)
 #: Faults of one camera's pose: what is written of it.
 POSES: dict[str, Callable[[Pose], Pose]] = {
     "inverse": rigid_inverse,
@@ -72,12 +74,14 @@ class FaultTrial:
     Attributes:
         out: folder for the takes, and for ``trial.json`` with the counts. What is there is not made again.
         takes: people, each with another path and other cameras; half of them children.
+        faults: give cameras faults; otherwise right rigs alone are judged, which is quick, so that there may be many.
         seconds: length of each.
         rate_hz: frame sets per second.
     """
 
     out: tyro.conf.Positional[Path]
     takes: int = 6
+    faults: bool = True
     seconds: float = 12.0
     rate_hz: float = 5.0
     seed: int = 101
@@ -99,12 +103,14 @@ def make_take(trial: FaultTrial, number: int) -> Take:
     if not rig_path.exists():
         scene = TrialScene(_AZIMUTHS_DEG, (), trial.seconds, trial.rate_hz, seed=seed, stature_m=stature_m)
         save_rig(scene.write(path), rig_path)
+    if not trial.faults:
+        return Take(load_rig(rig_path), _see(path, ("plain",)))
     if not tracks_path.exists():
         tracks_path.write_bytes(pickle.dumps(_see(path)))
     return Take(load_rig(rig_path), pickle.loads(tracks_path.read_bytes()))
 
 
-def _see(path: Path) -> dict[str, dict[str, JointTrack]]:
+def _see(path: Path, kinds: Collection[str] = VARIANTS) -> dict[str, dict[str, JointTrack]]:
     recording, classifier = open_recording(path), Classifier()
     segmenter = PersonSegmenter.from_recording(recording)
     tracks = {}
@@ -126,8 +132,8 @@ def _see(path: Path) -> dict[str, dict[str, JointTrack]]:
                 "half": (View(camera, view.depth_m * np.float32(0.5)), mask),
                 "0.7": (View(camera, view.depth_m * np.float32(0.7)), mask),
             }
-            for name, variant in variants.items():
-                seen[name].append(joints_in(*variant, classifier))
+            for name in kinds:
+                seen[name].append(joints_in(*variants[name], classifier))
         tracks[camera.name] = {
             name: JointTrack(np.array(times_s), np.stack(joints)[..., :3], np.stack(joints)[..., 3])
             for name, joints in seen.items()
@@ -173,12 +179,12 @@ def run_trial(trial: FaultTrial, console: Console) -> dict[str, Any]:
                 false_alarms += [f"take {number}, {size} cameras: {told}"] if told else []
             chosen = [everybody[(number + i) % 4] for i in range(size)]
             wrong = chosen[number % size]
-            for kind in (*PICTURES, *POSES):
+            for kind in (*PICTURES, *POSES) if trial.faults else ():
                 told = judge(*_with_fault(take, chosen, wrong, kind))
                 counts[kind][str(size)][outcome(told, kind, wrong.name, size)] += 1
         write_json(trial.out / "trial.json", document)
         console.print(f"{number + 1} takes: {len(false_alarms)} false alarms in {document['right rigs']} right rigs")
-    for line in table(counts):
+    for line in table(counts) if trial.faults else ():
         console.print(line)
     return document
 

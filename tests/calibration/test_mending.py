@@ -92,7 +92,7 @@ def test_a_camera_in_another_unit_is_named_and_mended_on_demand(tmp_path, capsys
     [
         (None, "nothing wrong is found with depth units, pictures and poses"),
         ("inverse", "wrong: world_from_camera of camera 'cam1' is camera_from_world, the inverse: right would be [["),
-        ("upside down", "wrong: the picture of camera 'cam1' is turned by 180° against its intrinsics and pose"),
+        ("upside down", "wrong: the picture of camera 'cam1' is turned by 180° against its intrinsics and pose: turn"),
         ("half", "wrong: all cameras measure 0.5 of the lengths between the places that the rig tells"),
     ],
 )
@@ -109,6 +109,43 @@ def test_info_tells_on_demand_what_is_wrong(tmp_path, capsys, change, message) -
     printed = said(capsys)
     assert message in printed
     assert printed.count("wrong: ") == (change is not None)
+
+
+@pytest.mark.slow
+def test_a_picture_that_was_turned_is_named_and_left_out_and_placed_as_well_when_it_is_mended(tmp_path, capsys) -> None:
+    path, out = recording(tmp_path / "turned", picture=lambda picture: np.rot90(picture, 3)), tmp_path / "rig.json"
+    assert main(["calibrate", str(path), "--out", str(out)]) == 2
+    assert "width 288, height 320, fx 252.25, fy 252.25, cx 165.8, cy 158.3 would be right if anticlock" in said(capsys)
+    assert main(["calibrate", str(path), "--out", str(out), "--mend"]) == 0
+    printed = said(capsys)
+    assert "mended: the pictures of camera 'cam1' are on their side against the intrinsics" in printed
+    assert "mended: the picture of camera 'cam1' is turned by 180° against its intrinsics" in printed  # clockwise
+    found, true = load_rig(out), load_rig(DEMO / "rig.json")["cam1"].turned(3)
+    camera = found["cam1"]
+    assert (camera.width, camera.height, camera.cx, camera.cy) == (true.width, true.height, true.cx, true.cy)
+    relative = found["cam0"].camera_from_world @ camera.world_from_camera
+    expected = load_rig(DEMO / "rig.json")["cam0"].camera_from_world @ true.world_from_camera
+    person = true.camera_from_world @ [0.0, 0.0, 1.0, 1.0]
+    assert np.linalg.norm((relative - expected) @ person) < 0.015
+    assert main(["run", str(path), "--rig", str(out), "--out", str(tmp_path / "run"), "--no-report"]) == 0
+
+
+@pytest.mark.slow
+def test_a_rig_that_is_checked_is_mended_on_demand_and_the_old_one_stays(tmp_path, capsys) -> None:
+    wrong, mended = tmp_path / "wrong.json", tmp_path / "mended.json"
+    document = json.loads((DEMO / "rig.json").read_text())
+    pose = np.array(document["cameras"][1]["world_from_camera"])
+    document["cameras"][1]["world_from_camera"] = (pose @ np.diag([1.0, -1, -1, 1])).tolist()
+    wrong.write_text(json.dumps(document))
+    before = wrong.read_bytes()
+    command = ["calibrate", str(DEMO), "--check", str(wrong), "--rate-hz", "4", "--mend", "--out"]
+    assert main([*command, str(wrong)]) == 2
+    assert "--out must not be the file of --check" in said(capsys)
+    assert main([*command, str(mended)]) == 0
+    assert "Mended: world_from_camera of camera 'cam1' is of a camera with y up that looks along -z" in said(capsys)
+    assert wrong.read_bytes() == before
+    for camera, true in zip(load_rig(mended).cameras, load_rig(DEMO / "rig.json").cameras, strict=True):
+        assert np.allclose(camera.world_from_camera, true.world_from_camera, atol=1e-6)
 
 
 def test_info_without_check_looks_at_no_pictures(tmp_path) -> None:

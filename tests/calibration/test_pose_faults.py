@@ -7,8 +7,9 @@ import pytest
 from walker import stand, track
 
 from depthmocap.calibration.joint_tracks import JointTrack
+from depthmocap.calibration.mending import mend_poses
 from depthmocap.calibration.pose_faults import WAYS, PoseFault, find_pose_faults
-from depthmocap.geometry import DepthCamera, rigid_inverse
+from depthmocap.geometry import DepthCamera, Rig, rigid_inverse
 
 TIMES_S = np.arange(0, 8, 0.4)
 TRUE = [stand(azimuth, height) for azimuth, height in ((10, 1.4), (130, 1.9), (245, 1.6))]
@@ -113,6 +114,37 @@ def test_a_camera_that_was_turned_is_named_alone() -> None:
     assert (fault.kind, fault.cameras) == ("elsewhere", ("cam1",))
     assert "by 15°" in fault.text
     assert np.allclose(fault.poses["cam1"], TRUE[1], atol=0.05)
+
+
+@pytest.mark.parametrize("kind", ["inverse", "opengl", "unity", "turned 90"])
+def test_what_is_told_is_mended(kind: str) -> None:
+    poses = [TRUE[0], WRITTEN[kind](TRUE[1]), TRUE[2]]
+    rng = np.random.default_rng(0)
+    tracks = [track(pose, TIMES_S, rng) for pose in TRUE]
+    cameras = tuple(DepthCamera(f"cam{i}", 320, 288, 252.0, 252.0, 160.0, 144.0, pose) for i, pose in enumerate(poses))
+    rig, mended, left = mend_poses(Rig(cameras), tracks, rng)
+    assert len(mended) == 1 and not left
+    assert np.allclose(rig["cam1"].world_from_camera, TRUE[1], atol=1e-6)
+
+
+def test_an_axis_is_mended_and_a_camera_that_stands_elsewhere_is_left() -> None:
+    rng = np.random.default_rng(0)
+    y_up = np.eye(4)
+    y_up[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    tracks = [track(pose, TIMES_S, rng) for pose in TRUE]
+
+    def mend(poses: list[np.ndarray]) -> tuple[Rig, list[str], list[str]]:
+        cameras = (DepthCamera(f"cam{i}", 320, 288, 252.0, 252.0, 160.0, 144.0, pose) for i, pose in enumerate(poses))
+        return mend_poses(Rig(tuple(cameras)), tracks, rng)
+
+    rig, mended, left = mend([y_up @ pose for pose in TRUE])
+    assert rig.up == "y" and len(mended) == 1 and not left
+    aside = np.eye(4)
+    aside[0, 3] = 0.5
+    rig, mended, left = mend([TRUE[0], aside @ TRUE[1], TRUE[2]])
+    assert np.array_equal(rig["cam1"].world_from_camera, aside @ TRUE[1]) and not mended and len(left) == 1
+    _, mended, left = mend([np.eye(4)] * 3)
+    assert not mended and "have the same place" in left[0]
 
 
 def test_what_cannot_be_told_is_not() -> None:

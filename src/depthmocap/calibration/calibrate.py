@@ -19,11 +19,12 @@ from depthmocap.calibration.calibration_page import draw_clouds, pair_table, wri
 from depthmocap.calibration.camera_placement import Placement, mean_joints, place_cameras, why_unreliable
 from depthmocap.calibration.joint_tracks import JointTrack
 from depthmocap.calibration.lateness_by_motion import find_jumps, jump_lines
+from depthmocap.calibration.mending import mend_poses, mended_rig
 from depthmocap.calibration.observations import Observation
 from depthmocap.calibration.origin import WALK, check_origin, find_lab
 from depthmocap.calibration.refine import RefinedPlacement, refine
 from depthmocap.calibration.rig_check import RigCheck, check_rig, tell_check
-from depthmocap.calibration.sighting import Sighting, cameras_left_out, mended_rig, see_person, without
+from depthmocap.calibration.sighting import Sighting, cameras_left_out, see_person, without
 from depthmocap.calibration.upright import Upright, find_upright
 from depthmocap.calibration.verdict import PairVerdict, find_warnings, judge_pairs, late_cameras
 from depthmocap.core.console import Terminal
@@ -36,10 +37,12 @@ from depthmocap.frames import View
 from depthmocap.geometry import Rig, load_rig, save_rig, transform_points, z_up_from
 from depthmocap.geometry.depth_camera import time_offsets_s
 from depthmocap.recordings.open_recording import open_recording
-from depthmocap.recordings.recording import Recording
+from depthmocap.recordings.recording import Recording, TurnedPicturesError
 from depthmocap.text import camera_list, joined, offset_lines
 
 _GRADES = ("good", "fair", "poor")
+#: No more faults are mended than so many: one that is told again and again is not mended.
+_MOST_MENDED = 12
 #: Expected error of the joints that several cameras see together (metres).
 _PERSON_SIGMA_M = 0.03
 _FLOORS = {
@@ -63,9 +66,10 @@ class CalibrateSettings(NetworkSettings):
         rate_hz: most frames per second of a camera that are used.
         weights: a classifier.onnx of your own.
         check: a rig.json that is compared with what the recording says: how far off each camera is, and whether it is
-            good, bumped or not known. No rig is written.
-        mend: write into the rig what mends wrong depth units and mirrored pictures. Otherwise they are named, and their
-            cameras left out.
+            good, bumped or not known. No rig is written without --mend.
+        mend: write into the rig what mends wrong depth units, and mirrored and turned pictures. Otherwise they are
+            named, and their cameras left out. With --check, the rig that is checked is written to --out with what mends
+            these, and poses of another convention; nothing is placed anew.
         origin: the lab's own axes: "walk", from where the person first stands (the origin) and where they stand next
             (+X); a .json file of points of the floor; or a .c3d file of the same movement. By default the origin is
             below the middle of the person's path.
@@ -142,27 +146,38 @@ def find_rig(recording: Recording, settings: CalibrateSettings, console: Console
         InputError: when the recording has fewer than two cameras, shows nobody, or no two cameras see the same person
             often enough.
     """
+    recording, sighting, mended = _look(recording, settings, console)
+    return _place(recording, sighting, mended, settings, console)
+
+
+def _look(recording: Recording, settings: CalibrateSettings, console: Console) -> tuple[Recording, Sighting, list[str]]:
+    """What the cameras see, with pictures mended if that is asked for: the recording with the mended rig, and what was
+    mended, a line each."""
     names = recording.rig.names
     if len(names) < 2:
         raise InputError(f"{recording.path} has one camera ({', '.join(names)}): a calibration needs two or more")
-    rng = np.random.default_rng(settings.seed)
-    fault_rng = np.random.default_rng([settings.seed, 1])
+    rng = np.random.default_rng([settings.seed, 1])
     mended: list[str] = []
     with networks_on(settings.device) as devices:
-        sighting = _see(recording, settings, fault_rng, console)
-        if settings.mend and any(fault.certain for fault in sighting.faults):
-            mended = [f"mended: {fault.text}" for fault in sighting.faults if fault.certain]
-            recording = open_recording(recording.path, mended_rig(recording.rig, sighting.faults))
-            sighting = _see(recording, settings, fault_rng, console)
+        while True:
+            sighting = see_person(recording, settings.segment, settings.weights, settings.rate_hz, rng, console)
+            certain = [fault for fault in sighting.faults if fault.certain]
+            if not settings.mend or not certain or len(mended) > _MOST_MENDED:
+                break
+            mended += [f"mended: {fault.text}" for fault in certain]
+            recording = open_recording(recording.path, mended_rig(recording.rig, certain))
     for line in devices.lines():
         console.print(f"  {line}")
+    return recording, sighting, mended
+
+
+def _place(
+    recording: Recording, sighting: Sighting, mended: list[str], settings: CalibrateSettings, console: Console
+) -> Calibration:
+    rng = np.random.default_rng(settings.seed)
     with console.status("placing the cameras"):
         what, problems = str(recording.path), [*mended, *sighting.notes, *sighting.problems, *recording.problems]
         return solve_rig(what, sighting.observations, problems, rng, cameras_left_out(what, sighting))
-
-
-def _see(recording: Recording, settings: CalibrateSettings, rng: np.random.Generator, console: Console) -> Sighting:
-    return see_person(recording, settings.segment, settings.weights, settings.rate_hz, rng, console)
 
 
 def solve_rig(
@@ -268,7 +283,7 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
     console = console or Terminal()
     if settings.check is not None:
         return _check(settings, load_rig(settings.check), console)
-    recording = open_recording(settings.recording)
+    recording, turned = _open(settings)
     check_outputs(
         {"--out": settings.out, "--report": settings.page, "--json": settings.json},
         {
@@ -277,6 +292,7 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
         },
     )  # fmt: skip
     calibration = find_rig(recording, settings, console)
+    calibration.warnings[:0] = turned
     if settings.origin:
         calibration = _in_lab(calibration, settings)
     for path in (settings.page, settings.json):  # of another rig
@@ -298,6 +314,20 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
         f"{settings.out} has the cameras, {settings.page} the pictures; run, live and record take it by --rig."
     )
     return calibration
+
+
+def _open(settings: CalibrateSettings) -> tuple[Recording, list[str]]:
+    """The recording; with ``mend``, cameras whose pictures are on their side against their intrinsics have these
+    turned, too, and are told, a line each."""
+    rig, lines = None, []
+    while True:
+        try:
+            return open_recording(settings.recording, rig), lines
+        except TurnedPicturesError as error:
+            if not settings.mend:
+                raise
+            rig = error.rig
+            lines.append(f"mended: the pictures of camera {error.camera!r} are on their side against the intrinsics")
 
 
 def _in_lab(calibration: Calibration, settings: CalibrateSettings) -> Calibration:
@@ -328,13 +358,14 @@ def calibration_lines(calibration: Calibration, cameras: int) -> list[str]:
 
 def _check(settings: CalibrateSettings, rig: Rig, console: Console) -> Calibration:
     """Compare a rig with what the recording says, and print the verdict."""
-    if settings.mend or settings.origin:
-        option = "--mend" if settings.mend else "--origin"
-        raise InputError(f"{option} is for a rig that is written, and --check writes none")
-    check_outputs(
-        {"--json": settings.json}, {"the recording": settings.recording, "the file of --check": settings.check}
-    )
-    found = find_rig(open_recording(settings.recording, rig), settings, console)
+    if settings.origin:
+        raise InputError("--origin is for a rig that is written from a recording, and --check writes none")
+    checked = {"the recording": settings.recording, "the file of --check": settings.check}
+    check_outputs({"--json": settings.json, **({"--out": settings.out} if settings.mend else {})}, checked)
+    recording, sighting, lines = _look(open_recording(settings.recording, rig), settings, console)
+    if settings.mend:
+        rig = _mended(rig, recording.rig, sighting, lines, settings, console)
+    found = _place(recording, sighting, [], settings, console)
     # Intrinsics and what mends pictures are the rig's already, and so is what moves timestamps.
     check = check_rig(rig, found.rig, found.pairs, found.trajectory, found.unplaced, found.warnings)
     found = dataclasses.replace(found, check=check)
@@ -342,6 +373,31 @@ def _check(settings: CalibrateSettings, rig: Rig, console: Console) -> Calibrati
         write_json(settings.json, {**_as_json(found), "check": dataclasses.asdict(check)})
     tell_check(check, console)
     return found
+
+
+def _mended(
+    rig: Rig, seen: Rig, sighting: Sighting, lines: list[str], settings: CalibrateSettings, console: Console
+) -> Rig:
+    """Write a rig with what mends it, and print what that is.
+
+    Args:
+        seen: its cameras that the recording has, with their pictures mended.
+        lines: what these were mended by.
+    """
+    left = [fault.text for fault in sighting.faults]
+    if not left:
+        seen, mended, left = mend_poses(seen, sighting.tracks, np.random.default_rng([settings.seed, 2]))
+        lines = [*lines, *(f"mended: {line}" for line in mended)]
+    # The unit of depth stays as the rig has it; that of the recording's device is used where it is played.
+    cameras = {camera.name: camera for camera in rig.cameras}
+    for camera in seen.cameras:
+        cameras[camera.name] = dataclasses.replace(camera, depth_unit_m=cameras[camera.name].depth_unit_m)
+    rig = Rig(tuple(cameras.values()), seen.up, rig.area_m)
+    save_rig(rig, settings.out)
+    for line in [*lines, *(f"not mended: {line}" for line in left)] or ["nothing to mend was found"]:
+        console.print(f"{line[0].upper()}{line[1:]}.")
+    console.print(f"{settings.out} has the rig.")
+    return rig
 
 
 def _headline(calibration: Calibration, cameras: int) -> str:

@@ -53,10 +53,10 @@ _LEGS = (("RHip", "RKnee", "RFoot"), ("LHip", "LKnee", "LFoot"))
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PictureFault:
-    """A wrong depth unit or a mirrored picture.
+    """A wrong depth unit, a mirrored picture, or one that is turned while its intrinsics are not.
 
     Attributes:
-        kind: "unit" or "mirror".
+        kind: "unit", "mirror" or "turned".
         cameras: who is wrong; both of two where it cannot be told which.
         text: the same in words, with what would mend it.
         factor: on the depth of the cameras that are wrong; for both of two, on that of the first one only.
@@ -108,6 +108,11 @@ def scaled(track: JointTrack, factor: float) -> JointTrack:
     return JointTrack(track.times_s, track.joints * factor, track.sigma_m * factor)
 
 
+def of_adult(track: JointTrack) -> JointTrack:
+    """The track at an adult's size, whatever its unit: expected errors and limits are of that."""
+    return scaled(track, CHAIN_M / chain_m(track))
+
+
 def mirrored(camera: DepthCamera, track: JointTrack) -> JointTrack:
     """The track of a camera whose picture comes mirrored, as it is."""
     return JointTrack(track.times_s, mirrored_joints(camera, track.joints), track.sigma_m[:, MIRROR])
@@ -133,33 +138,40 @@ def compare_pair(camera_b: DepthCamera, a: JointTrack, b: JointTrack, rng: np.ra
     chain_a, chain_b = chain_m(a), chain_m(b)
     if not (chain_a > 0 and chain_b > 0) or min(len(a.times_s), len(b.times_s)) < 2:
         return PairScale(None, None)
-    # Both are compared at an adult's size, whatever their units: expected errors and limits are of that.
-    a, b = scaled(a, CHAIN_M / chain_a), scaled(b, CHAIN_M / chain_b)
-    fits = [_fit(a, track, rng) for track in (b, mirrored(camera_b, b))]
+    a, b = of_adult(a), of_adult(b)
+    fits = [fit_similarity(a, track, rng) for track in (b, mirrored(camera_b, b))]
     best = int(np.argmax([fit.score for fit in fits]))
     fit, other = fits[best], fits[1 - best]
-    if fit.agreed < _LEAST_MOMENTS or fit.agreed < _LEAST_SHARE * fit.shared:
+    if not fit.reliable:
         return PairScale(None, None)
     told = other.score < _WORSE * fit.score
     return PairScale(fit.scale * chain_a / chain_b, bool(best) if told else None)
 
 
 @dataclasses.dataclass(frozen=True)
-class _Fit:
+class SimilarityFit:
+    """How two cameras' joints fit by a similarity transform: by its scale, how well (0 to 1), and at how many of the
+    moments that they share."""
+
     scale: float = 1.0
     score: float = 0.0
     shared: int = 0
     agreed: int = 0
 
+    @property
+    def reliable(self) -> bool:
+        """Whether enough moments agree for a judgement."""
+        return self.agreed >= max(_LEAST_MOMENTS, _LEAST_SHARE * self.shared)
 
-def _fit(a: JointTrack, b: JointTrack, rng: np.random.Generator) -> _Fit:
-    """The similarity transform from b to a: its scale, how well the joints fit (0 to 1), and the moments shared."""
+
+def fit_similarity(a: JointTrack, b: JointTrack, rng: np.random.Generator) -> SimilarityFit:
+    """The similarity transform from b to a, both at an adult's size."""
     times_s = common_times([a, b])
     times_s = times_s[:: max(round(len(times_s) / _MOMENTS), 1)]
     two = resample([a, b], times_s, np.zeros(2))
     pair = estimate_pair((two.joints[0], two.joints[1]), (two.sigma_m[0], two.sigma_m[1]), rng, _FITS)
     if pair is None:
-        return _Fit()
+        return SimilarityFit()
     known = usable_joints(two.joints, two.sigma_m)
     common = known[0] & known[1]
     common &= common.sum(1, keepdims=True) >= LEAST_JOINTS
@@ -176,7 +188,7 @@ def _fit(a: JointTrack, b: JointTrack, rng: np.random.Generator) -> _Fit:
     frames = np.flatnonzero(common.any(1))
     medians = np.nanmedian(distances[frames], axis=1)
     score = geman_mcclure(distances[common] / expected).mean()
-    return _Fit(scale, float(score), len(frames), int((medians < AGREES_M).sum()))
+    return SimilarityFit(scale, float(score), len(frames), int((medians < AGREES_M).sum()))
 
 
 def _similar(

@@ -108,6 +108,7 @@ class PoseFault:
         text: the same in words, with what would mend it.
         poses: ``world_from_camera`` as it would be right, by camera.
         factor: on the depth of these cameras.
+        up: the world's up axis as it would be right; empty unless that is what is wrong.
         certain: whether all of ``cameras`` are wrong.
     """
 
@@ -116,6 +117,7 @@ class PoseFault:
     text: str
     poses: dict[str, Float[ndarray, "4 4"]]
     factor: float = 1.0
+    up: str = ""
     certain: bool = True
 
 
@@ -328,7 +330,7 @@ class _Judge:
         ]  # fmt: skip
         mend = f'"up": "{ups[0]}" in rig.json would be right' if ups else f"no up of a rig fits: {_CALIBRATE}"
         text = f"the person is not upright in the world of {camera_list(names)}, where {self.up_name} is up: {mend}"
-        return [PoseFault("up", names, text, {})]
+        return [PoseFault("up", names, text, {}, up=ups[0] if ups else "", certain=bool(ups))]
 
     def single(self, camera: int) -> list[PoseFault]:
         """The ways of reading the only camera's pose by which the person stands upright on the floor."""

@@ -14,6 +14,7 @@ from depthmocap.calibration.joint_tracks import JointTrack
 from depthmocap.calibration.picture_faults import PictureFault, find_picture_faults, mirrored, scaled
 from depthmocap.calibration.pose_faults import PoseFault, find_pose_faults
 from depthmocap.calibration.sighting import see_person
+from depthmocap.calibration.turned_pictures import as_turned, find_turned_pictures, turned_words
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, check_extrinsics
 from depthmocap.recordings.recording import Recording
@@ -60,11 +61,10 @@ def check_recording(
         camera.name: (len(observation.track.times_s), observation.frames)
         for camera, observation in zip(cameras, sighting.observations, strict=True)
     }
-    poses, unknown = pose_lines(cameras, sighting.tracks, sighting.faults, recording.up, rng)
+    faults, unknown = fault_lines(cameras, sighting.tracks, sighting.faults, recording.up, rng)
     missing = [
         f"camera {name!r} never sees a person: nothing can be told of it" for name, (n, _) in frames.items() if n < 2
     ]
-    faults = [*(fault.text for fault in sighting.faults), *poses]
     return RecordingCheck(frames, faults, [*missing, *([] if faults else sighting.small), *unknown])
 
 
@@ -72,18 +72,21 @@ def check_tracks(cameras: Sequence[DepthCamera], tracks: Sequence[JointTrack], u
     """What is wrong with cameras, a line each, by the joints that each of them sees, in its own frame."""
     rng = np.random.default_rng(0)
     faults = find_picture_faults(cameras, tracks, rng)
-    return [*(fault.text for fault in faults), *pose_lines(cameras, tracks, faults, up, rng)[0]]
+    faults += find_turned_pictures(cameras, tracks, faults, rng)
+    return fault_lines(cameras, tracks, faults, up, rng)[0]
 
 
-def pose_lines(
+def fault_lines(
     cameras: Sequence[DepthCamera],
     tracks: Sequence[JointTrack],
     faults: Sequence[PictureFault],
     up: str,
     rng: np.random.Generator,
 ) -> tuple[list[str], list[str]]:
-    """What is wrong with the extrinsics, once faults of pictures are mended, and what cannot be told, a line each."""
+    """Faults of pictures in words, and what is wrong with the extrinsics once these are mended; and what cannot be
+    told; a line each."""
     unknown = []
+    lines = [fault.text for fault in faults]
     if len(cameras) == 1:
         unknown.append(
             "one camera alone cannot tell whether its picture is mirrored, or its depth off by less than half"
@@ -93,10 +96,18 @@ def pose_lines(
     try:
         check_extrinsics(cameras)
     except InputError:
-        return [], [*unknown, "where the cameras stand is not known: depthmocap calibrate RECORDING --out rig.json"]
+        where = "where the cameras stand is not known: depthmocap calibrate RECORDING --out rig.json"
+        return lines, [*unknown, where]
     if not _known(cameras, faults):
-        return [], [*unknown, "whether the extrinsics are right cannot be told before the pictures are"]
-    return [fault.text for fault in pose_faults_of(cameras, tracks, faults, up, rng)], unknown
+        return lines, [*unknown, "whether the extrinsics are right cannot be told before the pictures are"]
+    turned = {fault.cameras: i for i, fault in enumerate(faults) if fault.kind == "turned"}
+    for pose in pose_faults_of(cameras, tracks, faults, up, rng):
+        if pose.kind == "turned 180" and pose.cameras in turned:  # the picture was turned after all else was known
+            (camera,) = (camera for camera in cameras if (camera.name,) == pose.cameras)
+            lines[turned[pose.cameras]] = turned_words(camera, with_pose=True)
+        else:
+            lines.append(pose.text)
+    return lines, unknown
 
 
 def pose_faults_of(
@@ -127,5 +138,8 @@ def _known(cameras: Sequence[DepthCamera], faults: Sequence[PictureFault]) -> bo
 def _mended(camera: DepthCamera, track: JointTrack, faults: Sequence[PictureFault]) -> JointTrack:
     for fault in faults:
         if fault.certain and camera.name in fault.cameras:
-            track = mirrored(camera, track) if fault.kind == "mirror" else scaled(track, fault.factor)
+            if fault.kind == "turned":
+                track = as_turned(camera, track)
+            else:
+                track = mirrored(camera, track) if fault.kind == "mirror" else scaled(track, fault.factor)
     return track

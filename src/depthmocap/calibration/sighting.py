@@ -15,9 +15,10 @@ from depthmocap.calibration.first_look import FirstLook, look_first
 from depthmocap.calibration.joint_tracks import JointTrack
 from depthmocap.calibration.observations import Observation, observe, subsample_timestamps
 from depthmocap.calibration.picture_faults import STATURES_M, PictureFault, find_picture_faults, scaled
+from depthmocap.calibration.turned_pictures import find_turned_pictures
 from depthmocap.classify.classifier import Classifier
 from depthmocap.errors import InputError
-from depthmocap.geometry import DepthCamera, Rig
+from depthmocap.geometry import Rig
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.recordings.recording import Recording
 from depthmocap.segment.person_by_network import PersonByNetwork
@@ -37,7 +38,7 @@ class Sighting:
         observations: of every camera, in that unit.
         tracks: the same joints in the units that the recording tells.
         looks: the first look at each camera.
-        faults: wrong units and mirrored pictures.
+        faults: wrong units, and pictures that are mirrored or turned.
         problems: what makes good masks unlikely.
     """
 
@@ -111,6 +112,7 @@ def see_person(
     ]
     with console.status("comparing the cameras"):
         faults = find_picture_faults(told, tracks, rng)
+        faults += find_turned_pictures(told, tracks, faults, rng)
     told_of = {name for fault in faults if fault.kind == "unit" for name in fault.cameras}
     faults += [
         PictureFault(
@@ -123,22 +125,6 @@ def see_person(
         if look.factor != 1 and name not in told_of
     ]  # fmt: skip
     return Sighting(recording, observations, tracks, looks, faults, segmenter.problems)
-
-
-def mended_rig(rig: Rig, faults: Sequence[PictureFault]) -> Rig:
-    """The rig with what mends the faults that are certain."""
-    cameras = {camera.name: camera for camera in rig.cameras}
-    for fault in faults:
-        for name in fault.cameras if fault.certain else ():
-            cameras[name] = mended_camera(cameras[name], fault)
-    return dataclasses.replace(rig, cameras=tuple(cameras.values()))
-
-
-def mended_camera(camera: DepthCamera, fault: PictureFault) -> DepthCamera:
-    """A camera with what mends the fault of its pictures."""
-    if fault.kind == "mirror":
-        return dataclasses.replace(camera, mirrored=not camera.mirrored)
-    return dataclasses.replace(camera, depth_factor=camera.depth_factor * fault.factor)
 
 
 def cameras_left_out(what: str, sighting: Sighting) -> dict[str, str]:

@@ -18,6 +18,7 @@ from depthmocap.cameras.playback_clock import PlaybackClock
 from depthmocap.cameras.registry import make_sources
 from depthmocap.core.console import Terminal
 from depthmocap.core.interrupts import deferred_interrupts
+from depthmocap.core.key_presses import key_presses
 from depthmocap.core.locks import locks_outputs
 from depthmocap.core.settings import check_above_0, check_at_least
 from depthmocap.errors import InputError, missing_extra
@@ -50,6 +51,8 @@ if TYPE_CHECKING:
 
 #: Seconds from one drawing of the dashboard to the next.
 DRAW_S = 0.25
+#: The key in the terminal that places the camera anew that was moved last.
+PLACE_KEY = "p"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,6 +114,7 @@ def run_live(settings: LiveSettings, console: Console | None = None, served: Pag
         files: PoseFiles | None = None
         people_files: PeopleFiles | None = None
         recording: TakeRecording | None = None
+        controls: LiveControls | None = None
         markers: Sequence[TakeMarker] = ()
 
         def write_held(poses: Sequence[Pose], of_people: Mapping[int, Sequence[Pose]]) -> None:
@@ -122,10 +126,11 @@ def run_live(settings: LiveSettings, console: Console | None = None, served: Pag
 
         if isinstance(capture, LiveCapture):
             recording = TakeRecording(capture)
+            folder = settings.record.parent if settings.record else settings.out or Path()
+            controls = LiveControls(capture, settings, recording, folder, write_held, settings.rig)
+            markers = controls.markers
             if page is not None:
-                folder = settings.record.parent if settings.record else settings.out or Path()
-                page.controls = controls = LiveControls(capture, settings, recording, folder, write_held, settings.rig)
-                markers = controls.markers
+                page.controls = controls
         stack.enter_context(capture)
         if recording is not None and isinstance(capture, LiveCapture):
             stack.enter_context(recording)
@@ -146,6 +151,8 @@ def run_live(settings: LiveSettings, console: Console | None = None, served: Pag
             people_files = stack.enter_context(PeopleFiles(settings.out, take))
         if settings.seconds is not None and isinstance(capture, LiveCapture):
             capture.stop_after(settings.seconds)
+        if controls is not None and stack.enter_context(key_presses(functools.partial(_press, controls, console))):
+            console.print(f"• {PLACE_KEY} places a camera anew that was moved while it ran")
         _write_poses(capture, take, files, people_files, settings.seconds, console)
     _check_any_poses(capture)
     _report(files.summary, settings.out, recording.written if recording is not None else (), console)
@@ -154,6 +161,19 @@ def run_live(settings: LiveSettings, console: Console | None = None, served: Pag
             console.print(f"• {problem}")
         _write_markers(settings.out, markers)
     return RunResult(settings.out, files.summary)
+
+
+def _press(controls: LiveControls, console: Console, key: str) -> None:
+    """Do what a key asks for."""
+    if key.lower() != PLACE_KEY:
+        return
+    if not controls.moved:
+        console.print("• no camera was moved that is not placed anew")
+        return
+    try:
+        console.print(f"• {controls.place_anew(controls.moved[0])}")
+    except InputError as error:
+        console.print(f"• {error}")
 
 
 def _check_settings(settings: LiveSettings) -> None:

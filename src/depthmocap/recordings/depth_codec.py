@@ -90,9 +90,13 @@ def decode_depth(data: bytes, coding: str, size: tuple[int, int] | None = None) 
     return picture
 
 
+class SwappedSizeError(InputError):
+    """A picture's width is the camera's height, and its height the width."""
+
+
 def _check_size(actual_size: tuple[int, int], camera_size: tuple[int, int] | None) -> None:
     if camera_size is not None and actual_size != camera_size:
-        raise InputError(
+        raise (SwappedSizeError if actual_size == camera_size[::-1] else InputError)(
             f"the picture is {actual_size[0]}×{actual_size[1]}, but its camera {camera_size[0]}×{camera_size[1]}"
         )
 

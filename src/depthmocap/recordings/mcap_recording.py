@@ -22,7 +22,7 @@ from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
 from depthmocap.geometry.depth_camera import check_camera, check_up
 from depthmocap.geometry.floor_area import parse_area
-from depthmocap.recordings.depth_codec import decode_depth
+from depthmocap.recordings.depth_codec import SwappedSizeError, decode_depth
 from depthmocap.recordings.mcap_file import Channel, McapFile, Message, iterate_topics
 from depthmocap.recordings.mcap_messages import (
     CALIBRATION,
@@ -133,6 +133,8 @@ class McapRecording(Recording):
         for stamp in stamps[:3]:
             try:
                 self.raw(name, stamp)
+            except SwappedSizeError:
+                raise
             except InputError as error:
                 errors.append(error)
                 continue
@@ -181,6 +183,8 @@ class McapRecording(Recording):
             image = read_image(self._file.payload(message), channel.schema_name)
             coding = "raw" if channel.schema_name == RAW_IMAGE else image.format
             return decode_depth(image.data, coding, (camera.width, camera.height))
+        except SwappedSizeError:
+            raise
         except InputError as error:
             raise InputError(f"{self._where(name, what)}: {error}") from None
 

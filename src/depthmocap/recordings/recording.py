@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from depthmocap.cameras.health import Fault, HealthCheck
 from depthmocap.cameras.source import place_in_rig
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, FrameSource, View
-from depthmocap.geometry import Rig, load_rig
+from depthmocap.geometry import DepthCamera, Rig, load_rig
+from depthmocap.recordings.depth_codec import SwappedSizeError
 from depthmocap.recordings.pose_table import read_table
 from depthmocap.recordings.recording_layout import (
     BACKGROUND_FILE,
@@ -39,6 +41,27 @@ _USELESS: dict[Fault, str] = {
     "noise": "noise in place of depth",
     "dark": f"no valid depth (all 0 or {SATURATED}), was the camera covered?",
 }
+
+
+class TurnedPicturesError(InputError):
+    """A camera's pictures are on their side against its intrinsics.
+
+    Attributes:
+        rig: with the camera as it is if its pictures were turned anticlockwise.
+        camera: its name.
+    """
+
+    def __init__(self, path: Path, rig: Rig, name: str) -> None:
+        camera = rig[name]
+        left, right = camera.turned(1), camera.turned(3)
+        super().__init__(
+            f"{path}: the rig has {camera.width}×{camera.height} for camera {name!r}, but its pictures are turned by "
+            f"90°: width {left.width}, height {left.height}, fx {left.fx:g}, fy {left.fy:g}, cx {left.cx:g}, cy "
+            f"{left.cy:g} would be right if anticlockwise, cx {right.cx:g}, cy {right.cy:g} if clockwise (calibrate "
+            "--mend tells which)"
+        )
+        cameras = (left if each.name == name else each for each in rig.cameras)
+        self.camera, self.rig = name, dataclasses.replace(rig, cameras=tuple(cameras))
 
 
 class Recording(FrameSource):
@@ -89,7 +112,10 @@ class Recording(FrameSource):
         offsets_ns = {camera.name: camera.time_offset_ns for camera in self.rig.cameras}
         check_clocks(path, stamps, self.period_ns, offsets_ns)
         for name, camera_stamps in stamps.items():
-            self._check_first(name, camera_stamps)
+            try:
+                self._check_first(name, camera_stamps)
+            except SwappedSizeError:
+                raise TurnedPicturesError(path, self.rig, name) from None
         self._backgrounds = {name: self._read_background(name) for name in self.rig.names}
         self._sets, gaps = add_empty_sets(group_stamps(stamps, self.period_ns, offsets_ns), self.period_ns)
         for gap in gaps:
@@ -128,7 +154,7 @@ class Recording(FrameSource):
             if len(missing) == len(self.rig.cameras):
                 raise InputError(f"{self.path} has none of the rig's cameras ({', '.join(rig.names)}), but {missing}")
             self._note(f"{self.path}: cameras that the rig lacks are left out: {', '.join(missing)}")
-        kept = (place_in_rig(camera, rig) for camera in self.rig.cameras if camera.name in rig.names)
+        kept = (place_in_rig(_in_size_of(rig, camera), rig) for camera in self.rig.cameras if camera.name in rig.names)
         self.rig = Rig(tuple(kept), rig.up, rig.area_m)
         self._stamps = {name: self._stamps[name] for name in self.rig.names}
 
@@ -268,3 +294,12 @@ class Recording(FrameSource):
     def _true_joints(self, timestamp_ns: int) -> Float[ndarray, "18 3"] | None:
         """The true joints nearest in time, if within half a frame period."""
         return None if self._truth is None else self._truth.nearest(timestamp_ns, self.period_ns / 2)
+
+
+def _in_size_of(rig: Rig, camera: DepthCamera) -> DepthCamera:
+    """The camera with its width and height exchanged if the rig has them so: whether pictures are on their side, their
+    size tells."""
+    placed = rig[camera.name]
+    if (placed.height, placed.width) != (camera.width, camera.height):
+        return camera
+    return dataclasses.replace(camera, width=placed.width, height=placed.height)

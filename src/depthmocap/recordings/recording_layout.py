@@ -21,6 +21,7 @@ from depthmocap.core.reading.image_files import LARGEST_PICTURE, decode_png, png
 from depthmocap.core.reading.input_files import read_bytes
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig
+from depthmocap.recordings.depth_codec import SwappedSizeError
 
 BACKGROUND_FILE = "background.png"
 TRUTH_FILE = "truth.csv"
@@ -39,7 +40,7 @@ def read_depth_png(path: Path, camera: DepthCamera) -> UInt16[ndarray, "h w"]:
     if (bits, kind) != (16, "grey"):
         raise InputError(f"{path} is {bits}-bit {kind}: depth must be 16-bit grey, raw depth units, 0 where invalid")
     if (width, height) != (camera.width, camera.height):
-        raise InputError(
+        raise (SwappedSizeError if (height, width) == (camera.width, camera.height) else InputError)(
             f"{path} is {width}×{height} but rig.json says {camera.width}×{camera.height} for camera "
             f"{camera.name!r}: correct its width, height and intrinsics, or the frames"
         )
