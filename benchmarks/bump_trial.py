@@ -10,6 +10,7 @@ down, chairs are moved and a door is opened and closed. After the still time the
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ class BumpTrial:
     """Cameras that stand still for a time, and then are bumped.
 
     Attributes:
-        out: folder for ``bump.json``.
+        out: folder for ``bump.json``; rooms that it has are not watched again.
         hours: of standing still, in all.
         minutes: each room for so long.
     """
@@ -66,6 +67,7 @@ class _Scene:
         self._drift = rng.uniform(-0.002, 0.002)
         self._people = [_Walker(rng) for _ in range(rng.integers(0, 4))]
         self.room_m = self._render(self.camera)
+        self._camera_from_world = self.camera.camera_from_world
 
     def event(self) -> None:
         """A chair is moved, or the door opened or closed."""
@@ -87,24 +89,25 @@ class _Scene:
             pose[:3, :3] = turn @ pose[:3, :3]
         self.camera = dataclasses.replace(self.camera, world_from_camera=pose)
         self.room_m = self._render(self.camera)
+        self._camera_from_world = self.camera.camera_from_world
         return "shifted" if shifted else "turned"
 
     def picture(self, time_s: float) -> Float[ndarray, "72 96"]:
         """What the sensor gives (metres)."""
         depth_m = self.room_m.copy()
         for person in self._people:
-            person.draw(self.camera, depth_m, 1 / _HZ)
+            person.draw(self.camera, self._camera_from_world, depth_m, 1 / _HZ)
         scale = 1 + self._drift * np.sin(time_s / 400)
-        depth_m = depth_m * scale + self._noise * depth_m**2 / 4 * self._rng.normal(size=depth_m.shape)
-        depth_m[self._rng.random(depth_m.shape) < self._lost] = 0
-        return depth_m.astype(np.float32)
+        depth_m *= scale + depth_m * (self._noise / 4) * self._rng.standard_normal(depth_m.shape, np.float32)
+        depth_m[self._rng.random(depth_m.shape, np.float32) < self._lost] = 0
+        return depth_m
 
     def _render(self, camera: DepthCamera) -> Float[ndarray, "72 96"]:
         x, y = self._chair
         chair = Box((x - 0.22, y - 0.22, 0.0), (x + 0.22, y + 0.22, 0.9))
         door = (Box((2.2, 1.0, 0.0), (3.0, 1.05, 2.0)),) if self._door else ()
         walls = Box((-_HALF_M, -_HALF_M, 0.0), (_HALF_M, _HALF_M, 2.8))
-        return render_room(Room(walls, (*self._furniture, chair, *door)), camera)
+        return render_room(Room(walls, (*self._furniture, chair, *door)), camera).astype(np.float32)
 
 
 class _Walker:
@@ -114,7 +117,13 @@ class _Walker:
         self._rng, self._place = rng, rng.uniform(-2, 2, 2)
         self._target, self._stays_s, self._height_m = self._place, 0.0, 1.7
 
-    def draw(self, camera: DepthCamera, depth_m: Float[ndarray, "h w"], step_s: float) -> None:
+    def draw(
+        self,
+        camera: DepthCamera,
+        camera_from_world: Float[ndarray, "4 4"],
+        depth_m: Float[ndarray, "h w"],
+        step_s: float,
+    ) -> None:
         """Go on, and draw a column of a person's size where it is nearer than what is there."""
         step = self._target - self._place
         if np.linalg.norm(step) > 0.1:
@@ -125,22 +134,31 @@ class _Walker:
             self._target, self._stays_s = self._rng.uniform(-2.4, 2.4, 2), self._rng.exponential(_STAY_S)
             self._height_m = float(self._rng.choice([1.7, 1.7, 1.2]))
         sway = self._rng.normal(0, 0.01, 2)
-        ends = np.array([[*(self._place + sway), 0.0], [*(self._place + sway), self._height_m]])
-        (u0, v0, z0), (u1, v1, z1) = camera.project(ends)
+        feet = camera_from_world[:3] @ [*(self._place + sway), 0.0, 1.0]
+        (x0, y0, z0), (x1, y1, z1) = feet.tolist(), (feet + self._height_m * camera_from_world[:3, 2]).tolist()
         if not min(z0, z1) > 0.4:
             return
+        u0, v0, u1, v1 = (
+            focal * way / z + centre
+            for way, z, focal, centre in (
+                (x0, z0, camera.fx, camera.cx), (y0, z0, camera.fy, camera.cy),
+                (x1, z1, camera.fx, camera.cx), (y1, z1, camera.fy, camera.cy),
+            )
+        )  # fmt: skip
         half = 0.22 * camera.fx / z0
-        top, bottom = sorted((round(float(v0)), round(float(v1))))
+        top, bottom = sorted((round(v0), round(v1)))
         rows = slice(max(top, 0), max(bottom, 0))
-        columns = slice(max(round(float(min(u0, u1) - half)), 0), max(round(float(max(u0, u1) + half)), 0))
+        columns = slice(max(round(min(u0, u1) - half), 0), max(round(max(u0, u1) + half), 0))
         depth_m[rows, columns] = np.minimum(depth_m[rows, columns], (z0 + z1) / 2 - 0.15)
 
 
 def run_bump_trial(trial: BumpTrial, console: Console) -> dict[str, Any]:
     """Watch; prints and stores the numbers after each room."""
     rooms = round(trial.hours * 60 / trial.minutes)
-    document: dict[str, Any] = {"hours": 0.0, "false alarms": [], "bumps": {"shifted": [], "turned": []}}
-    for number in range(rooms):
+    path = trial.out / "bump.json"
+    empty = {"hours": 0.0, "false alarms": [], "bumps": {"shifted": [], "turned": []}}
+    document: dict[str, Any] = json.loads(path.read_text()) if path.exists() else empty
+    for number in range(sum(map(len, document["bumps"].values())), rooms):
         rng = np.random.default_rng([trial.seed, number])
         scene, watch, alarms = _Scene(rng), SceneWatch(), 0
         still_s = 60 * trial.minutes
@@ -158,7 +176,7 @@ def run_bump_trial(trial: BumpTrial, console: Console) -> dict[str, Any]:
         document["false alarms"] += [number] * alarms
         document["bumps"][kind].append(told_s)
         trial.out.mkdir(parents=True, exist_ok=True)
-        write_json(trial.out / "bump.json", document)
+        write_json(path, document)
         if number % 6 == 5 or number == rooms - 1:
             console.print(_line(document))
     return document

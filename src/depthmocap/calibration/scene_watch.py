@@ -34,10 +34,11 @@ _STILL_PER_M2 = 0.0006
 _CHANGED_M = 0.01
 #: and by so many times what it wavered.
 _WAVERS = 6.0
-#: What is nearer or farther by more than this (metres) is somebody or something that came before it, or went away.
+#: What is nearer or farther by more than this (metres) is somebody or something that came before it, or went away; what
+#: is nearer than what was ever seen behind it came, and may go on.
 _CAME_M = 0.25
 #: A camera was moved if this share of what was still has changed,
-MOVED_SHARE = 0.2
+MOVED_SHARE = 0.12
 #: counted in at least this share of it
 _LEAST_SEEN = 0.3
 #: and so many samples.
@@ -51,6 +52,7 @@ class SceneWatch:
         self._pictures: list[Float[ndarray, "rows columns"]] = []
         self._start_ns: int | None = None
         self._seen_ns: int | None = None
+        self._farthest_m: Float[ndarray, "rows columns"] | None = None
         self._windows: collections.deque[Float[ndarray, "rows columns"]] = collections.deque(
             maxlen=_MOST_BEFORE + _WINDOWS
         )
@@ -70,23 +72,31 @@ class SceneWatch:
         self._pictures.clear()
         self._start_ns = self._seen_ns = None
         if self._windows and self._windows[0].shape != window.shape:
-            self._windows.clear()
+            self._start_anew()
         self._windows.append(window)
+        if len(self._windows) > _WINDOWS:
+            older = self._windows[-1 - _WINDOWS]
+            self._farthest_m = older if self._farthest_m is None else np.maximum(self._farthest_m, older)
         share = self._changed()
         if share is None or share < MOVED_SHARE:
             return None
-        self._windows.clear()  # what comes next is compared with what is now
+        self._start_anew()  # what comes next is compared with what is now
         return share
+
+    def _start_anew(self) -> None:
+        self._windows.clear()
+        self._farthest_m = None
 
     def _changed(self) -> float | None:
         """Least share of the still scene that has changed in each of the last windows; None where it is not known."""
         windows = np.stack(self._windows)
         before, last = windows[:-_WINDOWS], windows[-_WINDOWS:]
-        if len(before) < _LEAST_BEFORE:
+        if len(before) < _LEAST_BEFORE or self._farthest_m is None:
             return None
         known = (before > 0).sum(0) >= 0.75 * len(before)
         was_m = _median(list(before))
         wavered_m = _median([np.where(each > 0, np.abs(each - was_m) + 1e-6, 0) for each in before])
+        known &= was_m > self._farthest_m - _CAME_M
         still = known & (was_m > 0) & (wavered_m < _STILL_M + _STILL_PER_M2 * was_m**2)
         shares = []
         for window in last:

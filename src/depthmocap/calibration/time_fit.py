@@ -3,8 +3,10 @@
 If camera b exposes later than a by τ, its joints are displaced along their motion: p_b - a_from_b⁻¹ p_a = τ v. A turn
 of the world does much the same where a person walks in a circle, so that pose and time are solved together, and the
 uncertainty of each has that of the other in it. Velocities are noisy, and least squares would underestimate τ: as in
-``camera_placement.estimate_offsets``, the product of the velocities from both cameras replaces the square of one. The
-uncertainty is that of sums over blocks of time, whose errors are taken as independent.
+``camera_placement.estimate_offsets``, the product of the velocities from both cameras replaces the square of one. What
+is compared with them are velocities in a band: instruments, by which nothing is biased. What is faster than people move
+is noise, and what is slower has the errors of a view that come with the posture. The uncertainty is that of sums over
+blocks of time, whose errors are taken as independent.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import itertools
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray
+from scipy.ndimage import gaussian_filter1d
 
 from depthmocap.calibration.joint_tracks import JointTrack
 from depthmocap.calibration.pairs import estimate_pair, geman_mcclure, usable_joints
@@ -23,6 +26,10 @@ from depthmocap.geometry import transform_points
 
 #: Errors within this time (seconds) are correlated.
 _BLOCK_S = 1.0
+#: Velocities are of a band: what is faster than this (seconds) is noise,
+_FAST_S = 0.08
+#: and what is slower than this (seconds) has the bias of a view, which depends on the posture.
+_SLOW_S = 0.4
 #: Most iterations;
 _ITERATIONS = 25
 #: they end when the offset changes by less than this (seconds).
@@ -86,7 +93,7 @@ def fit_time(
     shift = np.array([shift_s, 0.0])  # at the middle, and half of its change over the whole time
     gaps_s = [float(np.median(np.diff(track.times_s))) for track in (a, b)]
     one, sigma_a = a.interpolate(times_s, gaps_s[0])
-    velocity_a = _velocities(one, period_s)
+    velocity_a = _Velocities.of(one, period_s)
     blocks = ((times_s - times_s[0]) / _BLOCK_S).astype(np.int64)
     pose, system = None, None
     for _ in range(_ITERATIONS):
@@ -96,7 +103,7 @@ def fit_time(
             if pair is None:
                 return None
             pose = pair.a_from_b
-        system = _System(one, other, sigma_a, sigma_b, velocity_a, _velocities(other, period_s), pose, along, blocks)
+        system = _System(one, other, sigma_a, sigma_b, velocity_a, _Velocities.of(other, period_s), pose, along, blocks)
         if system.blocks < _LEAST_BLOCKS:
             return None
         change = system.solve(with_drift)
@@ -125,17 +132,19 @@ class _System:
         other: Float[ndarray, "n 18 3"],
         sigma_a: Float[ndarray, "n 18"],
         sigma_b: Float[ndarray, "n 18"],
-        velocity_a: Float[ndarray, "n 18 3"],
-        velocity_b: Float[ndarray, "n 18 3"],
+        velocity_a: _Velocities,
+        velocity_b: _Velocities,
         pose: Float[ndarray, "4 4"],
         along: Float[ndarray, " n"],
         block_of: Int[ndarray, " n"],
     ) -> None:
-        moved, turned = transform_points(pose, other), velocity_b @ pose[:3, :3].T
+        moved = transform_points(pose, other)
         common = usable_joints(one, sigma_a) & usable_joints(moved, sigma_b)
-        common &= np.isfinite(velocity_a).all(-1) & np.isfinite(turned).all(-1)
+        common &= np.isfinite(velocity_a.all).all(-1) & np.isfinite(velocity_b.all).all(-1)
         moment = np.nonzero(common)[0]
-        p, q, v, w = one[common], moved[common], velocity_a[common], turned[common]
+        p, q, rotation = one[common], moved[common], pose[:3, :3].T
+        v, w = velocity_a.all[common], velocity_b.all[common] @ rotation
+        v_band, w_band = velocity_a.band[common], velocity_b.band[common] @ rotation
         expected = np.sqrt(sigma_a[common] ** 2 + sigma_b[common] ** 2)
         weights = geman_mcclure(np.linalg.norm(p - q, axis=1) / expected) / expected**2
         # Columns: the three axes of each joint's residual p - q, by the turn and the displacement of q, and by time:
@@ -143,18 +152,19 @@ class _System:
         jacobian = np.zeros((len(p), 3, 8))
         jacobian[:, :, :3] = -_cross(q)
         jacobian[:, :, 3:6] = np.eye(3)
+        instruments = jacobian.copy()
         late = -np.stack([np.ones(len(moment)), along[moment]], 1)
-        mean = (v + w) / 2
-        jacobian[:, :, 6:] = mean[:, :, None] * late[:, None, :]
-        both = weights * (v * w).sum(1)
+        jacobian[:, :, 6:] = ((v + w) / 2)[:, :, None] * late[:, None, :]
+        instruments[:, :, 6:] = ((v_band + w_band) / 2)[:, :, None] * late[:, None, :]
+        # Of the other camera's velocities each, since their errors are not those of the band.
+        both = weights * ((v_band * w).sum(1) + (w_band * v).sum(1)) / 2
         count = int(block_of[-1]) + 1
         self._matrices = np.zeros((count, 8, 8))
         self._sides = np.zeros((count, 8))
         edges = np.searchsorted(block_of[moment], np.arange(count + 1))
         for block, (first, end) in enumerate(itertools.pairwise(edges.tolist())):
-            columns = jacobian[first:end].reshape(-1, 8)
-            weighted = columns * np.repeat(weights[first:end], 3)[:, None]
-            self._matrices[block] = weighted.T @ columns
+            weighted = instruments[first:end].reshape(-1, 8) * np.repeat(weights[first:end], 3)[:, None]
+            self._matrices[block] = weighted.T @ jacobian[first:end].reshape(-1, 8)
             self._matrices[block, 6:, 6:] = (late[first:end] * both[first:end, None]).T @ late[first:end]
             self._sides[block] = weighted.T @ (p - q)[first:end].ravel()
         self.blocks = int((np.diff(edges) > 0).sum())
@@ -189,10 +199,27 @@ class _System:
         return late_s, np.where(moved, scale / np.sqrt(np.where(moved, motion, 1)), np.nan)
 
 
-def _velocities(joints: Float[ndarray, "n 18 3"], period_s: float) -> Float[ndarray, "n 18 3"]:
-    velocities = np.full_like(joints, np.nan)
-    velocities[1:-1] = (joints[2:] - joints[:-2]) / (2 * period_s)
-    return velocities
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Velocities:
+    """Velocities of joints in their camera's frame (m/s): all of them, and what is left of them in the band."""
+
+    all: Float[ndarray, "n 18 3"]
+    band: Float[ndarray, "n 18 3"]
+
+    @classmethod
+    def of(cls, joints: Float[ndarray, "n 18 3"], period_s: float) -> _Velocities:
+        velocities = np.full_like(joints, np.nan)
+        velocities[1:-1] = (joints[2:] - joints[:-2]) / (2 * period_s)
+        steady = _smoothed(velocities, _FAST_S / period_s)
+        return cls(velocities, steady - _smoothed(steady, _SLOW_S / period_s))
+
+
+def _smoothed(values: Float[ndarray, "n 18 3"], samples: float) -> Float[ndarray, "n 18 3"]:
+    """A Gaussian mean over time of what is known; NaN where nothing is."""
+    known = np.isfinite(values)
+    total = gaussian_filter1d(np.where(known, values, 0), samples, axis=0, mode="constant")
+    weight = gaussian_filter1d(known.astype(np.float64), samples, axis=0, mode="constant")
+    return np.where(known, total / np.maximum(weight, 1e-6), np.nan)
 
 
 def _cross(points: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3 3"]:
