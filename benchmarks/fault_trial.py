@@ -29,6 +29,7 @@ from depthmocap.calibration.first_look import joints_in
 from depthmocap.calibration.joint_tracks import JointTrack
 from depthmocap.calibration.picture_faults import STATURE_PER_CHAIN, STATURES_M, chain_m, find_picture_faults, scaled
 from depthmocap.calibration.recording_check import pose_faults_of
+from depthmocap.calibration.turned_pictures import find_turned_pictures
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.console import Terminal
 from depthmocap.core.output import write_json
@@ -145,6 +146,7 @@ def judge(cameras: list[DepthCamera], tracks: list[JointTrack]) -> list[tuple[st
     """Kinds of the faults that are told, and of which cameras."""
     rng = np.random.default_rng(0)
     pictures = find_picture_faults(cameras, tracks, rng)
+    pictures += find_turned_pictures(cameras, tracks, pictures, rng)
     poses = pose_faults_of(cameras, tracks, pictures, "z", rng)
     return [(fault.kind, fault.cameras) for fault in (*pictures, *poses)]
 
