@@ -19,7 +19,7 @@ from depthmocap.calibration.calibration_page import draw_clouds, pair_table, wri
 from depthmocap.calibration.camera_placement import Placement, mean_joints, place_cameras, why_unreliable
 from depthmocap.calibration.joint_tracks import JointTrack
 from depthmocap.calibration.lateness_by_motion import find_jumps, jump_lines
-from depthmocap.calibration.mending import mend_poses, mended_rig
+from depthmocap.calibration.mending import mend_poses, mended_rig, open_mending
 from depthmocap.calibration.observations import Observation
 from depthmocap.calibration.origin import WALK, check_origin, find_lab
 from depthmocap.calibration.refine import RefinedPlacement, refine
@@ -37,7 +37,7 @@ from depthmocap.frames import View
 from depthmocap.geometry import Rig, load_rig, save_rig, transform_points, z_up_from
 from depthmocap.geometry.depth_camera import time_offsets_s
 from depthmocap.recordings.open_recording import open_recording
-from depthmocap.recordings.recording import Recording, TurnedPicturesError
+from depthmocap.recordings.recording import Recording
 from depthmocap.text import camera_list, joined, offset_lines
 
 _GRADES = ("good", "fair", "poor")
@@ -283,7 +283,7 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
     console = console or Terminal()
     if settings.check is not None:
         return _check(settings, load_rig(settings.check), console)
-    recording, turned = _open(settings)
+    recording, turned = open_mending(settings.recording, settings.mend)
     check_outputs(
         {"--out": settings.out, "--report": settings.page, "--json": settings.json},
         {
@@ -314,20 +314,6 @@ def calibrate(settings: CalibrateSettings, console: Console | None = None) -> Ca
         f"{settings.out} has the cameras, {settings.page} the pictures; run, live and record take it by --rig."
     )
     return calibration
-
-
-def _open(settings: CalibrateSettings) -> tuple[Recording, list[str]]:
-    """The recording; with ``mend``, cameras whose pictures are on their side against their intrinsics have these
-    turned, too, and are told, a line each."""
-    rig, lines = None, []
-    while True:
-        try:
-            return open_recording(settings.recording, rig), lines
-        except TurnedPicturesError as error:
-            if not settings.mend:
-                raise
-            rig = error.rig
-            lines.append(f"mended: the pictures of camera {error.camera!r} are on their side against the intrinsics")
 
 
 def _in_lab(calibration: Calibration, settings: CalibrateSettings) -> Calibration:

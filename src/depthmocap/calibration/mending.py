@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -13,6 +14,26 @@ from depthmocap.calibration.pose_faults import TURNED_PICTURE, PoseFault, find_p
 from depthmocap.calibration.turned_pictures import turned_camera
 from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera, Rig, check_extrinsics
+from depthmocap.recordings.open_recording import open_recording
+from depthmocap.recordings.recording import Recording, TurnedPicturesError
+
+
+def open_mending(path: Path, mend: bool) -> tuple[Recording, list[str]]:
+    """A recording; with ``mend``, cameras whose pictures are on their side against their intrinsics have these turned,
+    too, and are told, a line each.
+
+    Raises:
+        InputError: when it cannot be read, or is not to be mended.
+    """
+    rig, lines = None, []
+    while True:
+        try:
+            return open_recording(path, rig), lines
+        except TurnedPicturesError as error:
+            if not mend:
+                raise
+            rig = error.rig
+            lines.append(f"mended: the pictures of camera {error.camera!r} are on their side against the intrinsics")
 
 
 def mended_rig(rig: Rig, faults: Sequence[PictureFault]) -> Rig:
