@@ -89,10 +89,11 @@ def skeletons(numbers: dict[str, Any]) -> list[str]:
     """Of true and estimated joints, as files have them and as they are made live."""
     numbers = numbers["skeleton"]
     columns = [name for name, row in numbers.items() if isinstance(row, dict) and "limb_swing_deg" in row]
-    lines = [f"| | {' | '.join(columns)} | {columns[2]}, median of sequences |", "|---" * (len(columns) + 2) + "|"]
+    seen = columns[-2]  # of files
+    lines = [f"| | {' | '.join(columns)} | {seen}, median of sequences |", "|---" * (len(columns) + 2) + "|"]
     for key, words, digits, factor in SKELETON_ROWS:
         values = [numbers[name].get(key, math.nan) for name in columns]
-        each = [row.get(key, math.nan) for row in numbers[columns[2]]["sequences"]]
+        each = [row.get(key, math.nan) for row in numbers[seen]["sequences"]]
         median = statistics.median(each) if not any(math.isnan(value) for value in each) else math.nan
         cells = ["–" if math.isnan(value) else f"{factor * value:.{digits}f}" for value in (*values, median)]
         lines.append(f"| {words} | {' | '.join(cells)} |")

@@ -154,6 +154,7 @@ def test_the_votes_learn_from_earlier_samples_too(root, tmp_path, monkeypatch):
     assert not both.parts["true"][:n, 2].any()
     np.testing.assert_array_equal(both.parts["network"][n:], two.parts["network"])
     np.testing.assert_array_equal(both.joints[n:], two.joints)
+    assert np.isnan(both.landmarks).all()  # of recorded people
     assert both.features is one.features
     settings = PoseTraining(tmp_path / "run", source, "votes", minutes=0.03, earlier=(tmp_path / "of 3",))
     (path,) = train_pose(settings, QUIET)
@@ -181,6 +182,7 @@ def test_train_pose_in_the_world_from_synth(body_model, tmp_path):
         ({"minutes": -1.0}, "--minutes must be finite and above 0"),
         ({"learning_rate": np.inf}, "--learning-rate must be finite and above 0"),
         ({"source": PoseSampleSettings(samples=19)}, "--samples must be at least 20"),
+        ({"points_only": True}, "--points-only needs --start"),
     ],
 )
 def test_pose_training_that_cannot_be(tmp_path, change, message):

@@ -59,16 +59,26 @@ def expected_error_m(confidence: Float[ndarray, "*n"]) -> Float64[ndarray, "*n"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Pose:
-    """Joints of one instant in the world, metres; an unobserved joint is NaN with confidence 0."""
+    """Joints of one instant in the world, metres; an unobserved joint is NaN with confidence 0.
+
+    ``points`` are points of the skin, ``body.landmarks.POINTS``, and their confidence, where the estimator tells them.
+    """
 
     timestamp_ns: int
     joints: Float[ndarray, "18 3"]
     confidence: Float[ndarray, "18"]
+    points: Float[ndarray, "18 3"] | None = None
+    points_confidence: Float[ndarray, "18"] | None = None
 
     @property
     def expected_error_m(self) -> Float64[ndarray, "18"]:
         """Expected distance of each joint from the truth (metres), by its confidence; NaN of an unobserved joint."""
         return np.where(np.isnan(self.joints).any(-1), np.nan, expected_error_m(self.confidence))
+
+    def doubted(self, doubt: float) -> Pose:
+        """The pose with less confidence, by a share of it (0–1)."""
+        points = None if self.points_confidence is None else self.points_confidence * (1 - doubt)
+        return dataclasses.replace(self, confidence=self.confidence * (1 - doubt), points_confidence=points)
 
 
 class FrameSource(abc.ABC):

@@ -73,6 +73,9 @@ def test_the_protocol_measures_files_and_live(tmp_path: Path, default_body: Body
     numbers = json.loads((tmp_path / "numbers.json").read_text())
     exact, live, noisy = (numbers[name] for name in ("true joints, files", "true joints, live", "1 view, files"))
     assert exact["limb_swing_deg"] < 1.5 and exact["joint_error_cm"] < 0.5 and live["joint_error_cm"] < 0.8
+    with_points = numbers["true joints and points, files"]
+    assert with_points["head_deg"] < min(8, exact["head_deg"]) and with_points["feet_deg"] < exact["feet_deg"]
+    assert with_points["joint_error_cm"] == pytest.approx(exact["joint_error_cm"], abs=1e-6)
     assert exact["length_variation_mm"] < 1e-6 and len(noisy["sequences"]) == 1
     assert noisy["joint_error_cm"] < noisy["free_joint_error_cm"] + 0.2
 

@@ -15,9 +15,10 @@ from depthmocap.exporting import read_csv, read_trc
 from depthmocap.exporting.body_motion import BodyMotion, solve_body
 from depthmocap.exporting.bone_rotations import rest_offsets, rest_positions
 from depthmocap.exporting.export_command import ExportSettings, export
+from depthmocap.exporting.landmark_model import LandmarkModel
 from depthmocap.exporting.opensim_model import model_xml
 from depthmocap.exporting.timeline import Y_UP_FROM_Z_UP, Timeline
-from depthmocap.exporting.virtual_markers import LandmarkModel, landmark_confidence, landmark_positions
+from depthmocap.exporting.virtual_markers import landmark_confidence, landmark_positions
 
 RATE = 1 / 30
 

@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from depthmocap.body.landmarks import POINT_JOINTS, POINT_ROWS
 from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.errors import InputError
 from depthmocap.pose.cloud import LabelledCloud, merge_views
-from depthmocap.pose.estimators import load_estimator
+from depthmocap.pose.estimators import estimate_pose, load_estimator
 from depthmocap.pose.labelled_view import LabelledView
 from depthmocap.pose.parts import ARMS, LEGS, MIRRORED, body_frame, network_inputs, part_statistics
 from depthmocap.pose.votes import VotesEstimator
@@ -17,10 +18,15 @@ from depthmocap.synth.sample import Recipe, Sampler
 pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
+import onnx
 import torch
-from onnx import TensorProto, helper
+from onnx import TensorProto, helper, numpy_helper
+from rich.console import Console
 
-from depthmocap.train.train_votes import augment, export_votes, tilt
+from depthmocap.train import train_votes as train_votes_module
+from depthmocap.train.checkpoints import load_weights, save_weights
+from depthmocap.train.pose_samples import CollectedSamples
+from depthmocap.train.train_votes import VotesTraining, augment, export_votes, tilt, train_votes
 from depthmocap.train.votes_network import VotesNet
 
 
@@ -45,6 +51,9 @@ def small_network():
     for layer in (network.others.out, network.within.out, network.within.each[-1]):
         assert isinstance(layer, torch.nn.Linear)
         layer.reset_parameters()
+    assert network.points is not None
+    for parameter in network.points.parameters():
+        parameter.data += torch.randn_like(parameter) / 10
     return network
 
 
@@ -53,11 +62,10 @@ def test_order_and_absence_of_cameras_make_no_difference(samples):
     x = torch.from_numpy(network_inputs(parts, body_frame(parts))[0])
     network = small_network()
     with torch.no_grad():
-        joints, sure = network(x)
-        assert joints.shape == (8, 18, 3)
-        assert sure.shape == (8, 18)
+        told = network(x)
+        assert [tuple(output.shape) for output in told] == [(8, 18, 3), (8, 18)] * 2
         padded = torch.cat([torch.zeros_like(x[:, :1]), x.flip(1)], 1)
-        for ours, theirs in zip(network(padded), (joints, sure), strict=True):
+        for ours, theirs in zip(network(padded), told, strict=True):
             torch.testing.assert_close(ours, theirs, atol=1e-5, rtol=1e-5)
 
 
@@ -66,8 +74,8 @@ def test_gradient_reaches_every_parameter(samples):
     parts[:, :, 0] = 0  # a region that nobody sees, whose parameters serve too
     parts[0, 0, 43:] = parts[0, 0, :18]  # joints that a camera tells
     network = small_network().train()
-    joints, sure = network(torch.from_numpy(network_inputs(parts, body_frame(parts))[0]))
-    (joints.square().sum() + sure.square().sum()).backward()
+    outputs = network(torch.from_numpy(network_inputs(parts, body_frame(parts))[0]))
+    torch.stack([output.square().sum() for output in outputs]).sum().backward()
     for name, parameter in network.named_parameters():
         assert parameter.grad is not None, name
         assert parameter.grad.abs().sum() > 0, name
@@ -82,10 +90,80 @@ def test_onnx_gives_the_same(samples, tmp_path):
         parts = part_statistics(cloud)
         frame = body_frame(parts)
         with torch.no_grad():
-            truth, sure = network(torch.from_numpy(network_inputs(parts, frame)[0])[None])
-        joints, confidence = estimator(cloud)
-        np.testing.assert_allclose(joints, frame.to_world(truth[0].numpy()), atol=2e-3)
-        np.testing.assert_allclose(confidence, torch.sigmoid(sure[0]).numpy(), atol=2e-3)
+            truth, sure, points, points_sure = network(torch.from_numpy(network_inputs(parts, frame)[0])[None])
+        told = estimator.with_points(cloud)
+        for places, expected in zip(told[::2], (truth, points), strict=True):
+            np.testing.assert_allclose(places, frame.to_world(expected[0].numpy()), atol=2e-3)
+        for confidence, expected in zip(told[1::2], (sure, points_sure), strict=True):
+            np.testing.assert_allclose(confidence, torch.sigmoid(expected[0]).numpy(), atol=2e-3)
+        for array, same in zip(estimator(cloud), told, strict=False):
+            np.testing.assert_array_equal(array, same)
+        pose = estimate_pose(estimator, cloud, "z", 5)
+        np.testing.assert_array_equal(pose.points, told[2])
+
+
+def test_points_change_nothing_of_the_joints(samples):
+    parts = parts_of(samples)
+    x = torch.from_numpy(network_inputs(parts, body_frame(parts))[0])
+    network, without = small_network(), VotesNet(32, 1, 2, points=False).eval()
+    state = {k: v for k, v in network.state_dict().items() if not k.startswith("points.")}
+    without.load_state_dict(state)
+    with torch.no_grad():
+        for ours, theirs in zip(network(x), without(x), strict=False):
+            torch.testing.assert_close(ours, theirs, atol=0, rtol=0)
+
+
+def test_a_network_without_points_tells_none(samples, tmp_path):
+    parts = helper.make_tensor_value_info("parts", TensorProto.FLOAT, ["n", "views", 61, 16])
+    values = {"joints": np.ones((1, 18, 3), np.float32), "sure": np.zeros((1, 18), np.float32)}
+    nodes = [
+        helper.make_node("Constant", [], [name], value=numpy_helper.from_array(array)) for name, array in values.items()
+    ]
+    outputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, array.shape) for name, array in values.items()]
+    graph = helper.make_graph(nodes, "earlier", [parts], outputs)
+    path = tmp_path / "votes.onnx"
+    onnx.save(helper.make_model(graph, ir_version=8, opset_imports=[helper.make_opsetid("", 18)]), path)
+    estimator, cloud = VotesEstimator(path), cloud_of(samples[0])
+    assert not estimator.has_points
+    joints, confidence, points, points_confidence = estimator.with_points(cloud)
+    assert np.isfinite(joints).all()
+    assert (confidence == 0.5).all()
+    assert np.isnan(points).all()
+    assert not points_confidence.any()
+    assert estimate_pose(estimator, cloud, "z", 5).points is None
+
+
+def test_points_learn_beside_joints_that_stay(samples, tmp_path, monkeypatch):
+    monkeypatch.setattr(train_votes_module, "export_votes", lambda network, path: path)
+    parts = parts_of(samples)
+    collected = CollectedSamples(
+        {"network": parts, "true": np.zeros_like(parts)}, np.stack([sample.joints for sample in samples]),
+        np.stack([sample.landmarks for sample in samples]), np.arange(8), {},
+    )  # fmt: skip
+    torch.manual_seed(1)
+    start = VotesNet(points=False)
+    save_weights(start, tmp_path / "start.safetensors")
+    settings = VotesTraining(0.005, start=tmp_path / "start.safetensors", points_only=True)
+    train_votes(collected, settings, 0, tmp_path, Console(quiet=True))
+    learnt = VotesNet()
+    assert load_weights(learnt, tmp_path / "votes.safetensors", "points.")
+    load_weights(start, tmp_path / "start.safetensors")
+    for name, value in start.state_dict().items():
+        assert torch.equal(value, learnt.state_dict()[name]), name
+    assert learnt.points is not None
+    beside = learnt.points.usual_place.detach().numpy()
+    assert 0.1 < np.linalg.norm(beside[0]) < 0.4  # the crown above the head's joint
+    assert not load_weights(learnt, tmp_path / "start.safetensors", "points.")
+    load_weights(start, tmp_path / "votes.safetensors", "points.")  # of a network that tells none
+    recorded = dataclasses.replace(collected, landmarks=np.full_like(collected.landmarks, np.nan))
+    with pytest.raises(InputError, match="no sample tells points"):
+        train_votes(recorded, settings, 0, tmp_path, Console(quiet=True))
+
+
+def test_landmarks_come_with_generated_people(samples):
+    for sample in samples:
+        beside = sample.landmarks[POINT_ROWS] - sample.joints[POINT_JOINTS]
+        assert (np.linalg.norm(beside, axis=1) < 0.45).all()
 
 
 def test_augmented_samples_keep_a_camera_and_mirror_joints_with_regions(samples):

@@ -12,8 +12,8 @@ from two_people_take import walking
 from depthmocap.body.landmarks import LANDMARK_INDEX
 from depthmocap.errors import InputError
 from depthmocap.exporting.bone_rotations import rest_offsets
+from depthmocap.exporting.landmark_model import LandmarkModel
 from depthmocap.exporting.timeline import Y_UP_FROM_Z_UP
-from depthmocap.exporting.virtual_markers import LandmarkModel
 from depthmocap.train.train_landmarks import LandmarkTraining, train_landmarks
 
 

@@ -10,6 +10,8 @@ import dataclasses
 
 import numpy as np
 
+from depthmocap.body.skeleton import JOINT_INDEX
+
 
 @dataclasses.dataclass(frozen=True)
 class Landmark:
@@ -86,3 +88,17 @@ def _mirror(name: str) -> str:
 
 #: ``landmarks[LANDMARK_MIRROR]`` swaps left and right.
 LANDMARK_MIRROR = np.array([LANDMARK_INDEX[_mirror(name)] for name in LANDMARK_NAMES])
+
+#: Landmarks that the voting network measures beside the joints, as they are seen: what turns the head, the pelvis, the
+#: hands and the feet, which the joints leave open.
+POINTS: tuple[str, ...] = (
+    "Crown", "Nose", "REar", "LEar",
+    *(side + name for side in "RL" for name in
+      ("Asis", "Psis", "KnuckleIndex", "KnuckleLittle", "Heel", "BigToeBase", "Toe")),
+)  # fmt: skip
+#: Where they are among the landmarks.
+POINT_ROWS = np.array([LANDMARK_INDEX[name] for name in POINTS])
+#: The joint that each is seen from.
+POINT_JOINTS = np.array([JOINT_INDEX[LANDMARKS[row].joint] for row in POINT_ROWS])
+#: ``points[POINT_MIRROR]`` swaps left and right.
+POINT_MIRROR = np.array([POINTS.index(_mirror(name)) for name in POINTS])

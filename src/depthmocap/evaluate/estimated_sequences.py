@@ -18,7 +18,7 @@ from depthmocap.core.reading.input_files import read_text
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, Pose
 from depthmocap.pose.cloud import merge_views
-from depthmocap.pose.estimators import JointEstimator
+from depthmocap.pose.estimators import JointEstimator, estimate_pose
 from depthmocap.pose.labelled_view import label_people
 
 _SETTINGS = "estimates.json"
@@ -26,37 +26,53 @@ _ARRAYS = {
     "timestamps_ns": ArrayType("t", "i"), "truth": ArrayType("t 18 3", "f"), "joints": ArrayType("v t 18 3", "f"),
     "confidence": ArrayType("v t 18", "f"),
 }  # fmt: skip
+_POINT_ARRAYS = {"points": ArrayType("v t 18 3", "f"), "points_confidence": ArrayType("v t 18", "f")}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SequenceEstimates:
-    """One sequence: true joints, and joints estimated from 1 … v of its cameras (NaN and confidence 0 without one)."""
+    """One sequence: true joints, and joints estimated from 1 … v of its cameras (NaN and confidence 0 without one);
+    points of the skin where the estimator tells these."""
 
     name: str
     timestamps_ns: Int[ndarray, "t"]
     truth: Float[ndarray, "t 18 3"]
     joints: Float[ndarray, "v t 18 3"]
     confidence: Float[ndarray, "v t 18"]
+    points: Float[ndarray, "v t 18 3"] | None = None
+    points_confidence: Float[ndarray, "v t 18"] | None = None
 
     def poses(self, views: int) -> list[Pose]:
         """The estimates from the first so many cameras."""
         joints, confidence = self.joints[views - 1], self.confidence[views - 1]
-        return [Pose(*row) for row in zip(self.timestamps_ns.tolist(), joints, confidence, strict=True)]
+        poses = [Pose(*row) for row in zip(self.timestamps_ns.tolist(), joints, confidence, strict=True)]
+        if self.points is None or self.points_confidence is None:
+            return poses
+        told = zip(self.points[views - 1], self.points_confidence[views - 1], strict=True)
+        return [
+            dataclasses.replace(pose, points=points, points_confidence=sure)
+            for pose, (points, sure) in zip(poses, told, strict=True)
+        ]
 
 
 def estimate_sequence(
     name: str, frames: Iterable[FrameSet], classifier: Classifier, estimator: JointEstimator
 ) -> SequenceEstimates:
     """Joints of frames with true masks and joints, frame by frame, nothing smoothed."""
-    stamps, truths, joints, confidences = [], [], [], []
+    stamps, truths, estimates = [], [], []
     for frame in frames:
         parts = label_people(frame.views, classifier, "z")
-        estimates = [estimator(merge_views(parts[:count]), "z") for count in range(1, len(parts) + 1)]
+        clouds = [merge_views(parts[:count]) for count in range(1, len(parts) + 1)]
         stamps.append(frame.timestamp_ns)
         truths.append(frame.true_joints)
-        joints.append(np.stack([array for array, _ in estimates]))
-        confidences.append(np.stack([array for _, array in estimates]))
-    return SequenceEstimates(name, np.array(stamps), np.stack(truths), np.stack(joints, 1), np.stack(confidences, 1))
+        estimates.append([estimate_pose(estimator, cloud, "z", frame.timestamp_ns) for cloud in clouds])
+    told = ("joints", "confidence")
+    if estimates and estimates[0][0].points is not None:
+        told += ("points", "points_confidence")
+    arrays = {
+        key: np.stack([np.stack([getattr(pose, key) for pose in poses]) for poses in estimates], 1) for key in told
+    }
+    return SequenceEstimates(name, np.array(stamps), np.stack(truths), **arrays)
 
 
 class EstimateStore:
@@ -84,15 +100,18 @@ class EstimateStore:
         if not path.exists():
             return None
         try:
-            data = read_npz(path, {"name": ArrayType("", "U"), **_ARRAYS})
+            data = read_npz(path, {"name": ArrayType("", "U"), **_ARRAYS}, optional=_POINT_ARRAYS)
         except InputError as error:
             raise InputError(f"{path} is not a file of estimates ({error_reason(error, path)}): delete it") from None
-        return SequenceEstimates(str(data["name"]), *(data[key] for key in _ARRAYS))
+        return SequenceEstimates(str(data.pop("name")), **data)
 
     def save(self, index: int, sequence: SequenceEstimates) -> None:
         """Write the estimates of a sequence; the file is complete or not there at all."""
         with atomic_write(self._path(index)) as unfinished:
-            np.savez(unfinished, name=sequence.name, **{key: getattr(sequence, key) for key in _ARRAYS})
+            arrays = {key: getattr(sequence, key) for key in (*_ARRAYS, *_POINT_ARRAYS)}
+            np.savez(
+                unfinished, name=sequence.name, **{key: array for key, array in arrays.items() if array is not None}
+            )
 
     def _path(self, index: int) -> Path:
         return self._folder / f"{index:04d}.npz"

@@ -13,6 +13,7 @@ from numpy import ndarray
 from rich.console import Console
 from rich.table import Table
 
+from depthmocap.body.landmarks import POINT_ROWS, POINTS
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
@@ -29,7 +30,7 @@ from depthmocap.evaluate.moving_people import FPS, moving_person
 from depthmocap.evaluate.sequence_settings import SequenceSettings
 from depthmocap.evaluate.skeleton_metrics import LANDMARK_GROUPS, SkeletonTrack, skeleton_metrics
 from depthmocap.exporting.body_motion import solve_body
-from depthmocap.exporting.timeline import LEAST_CONFIDENCE, Timeline, y_up_from
+from depthmocap.exporting.timeline import LEAST_CONFIDENCE, Timeline, points_beside, y_up_from
 from depthmocap.exporting.virtual_markers import landmark_positions
 from depthmocap.frames import Pose
 from depthmocap.smooth.filters import AUTO, FilterName, load_filter
@@ -69,8 +70,8 @@ _ROWS = (
 @dataclasses.dataclass(frozen=True)
 class SkeletonEvaluation(SequenceSettings):
     """The skeleton of constant bones on generated sequences, as files have it and as it is made live: of the true
-    joints, and of joints that ``evaluate motion`` estimates, behind the filter. The folder of its estimates with the
-    same settings serves.
+    joints, of these and true points of the skin, and of what ``evaluate motion`` estimates, behind the filter. The
+    folder of its estimates with the same settings serves.
 
     Attributes:
         seconds: of motion a sequence, before it comes to rest.
@@ -120,6 +121,14 @@ def evaluate_skeleton(settings: SkeletonEvaluation, console: Console | None = No
         [Pose(int(ns), joints, np.ones(len(joints))) for ns, joints in zip(times, sequence.truth, strict=True)]
         for times, sequence in zip(stamps, sequences, strict=True)
     ]
+    with_points = [
+        [
+            dataclasses.replace(pose, points=points[POINT_ROWS] @ y_up, points_confidence=np.ones(len(POINTS)))
+            for pose, points in zip(poses, truth.landmarks, strict=True)
+        ]
+        for poses, truth in zip(exact, truths, strict=True)
+        if truth.landmarks is not None
+    ]
     filter_ = load_filter(settings.smooth)
     estimated = []
     for sequence in sequences:
@@ -131,7 +140,7 @@ def evaluate_skeleton(settings: SkeletonEvaluation, console: Console | None = No
         "frames": sum(len(sequence.truth) for sequence in sequences),
     }
     views = f"{settings.views} view{'s' * (settings.views > 1)}"
-    for name, poses in (("true joints", exact), (views, estimated)):
+    for name, poses in (("true joints", exact), ("true joints and points", with_points), (views, estimated)):
         for way, solve in (("files", _offline), ("live", _live)):
             start = time.process_time()
             tracks = [solve(stream) for stream in poses]
@@ -158,7 +167,8 @@ def _joints(poses: Sequence[Pose]) -> Float[ndarray, "t 18 3"]:
 
 
 def _offline(poses: Sequence[Pose]) -> SkeletonTrack:
-    motion = solve_body(Timeline(np.arange(len(poses)) / FPS, _joints(poses), 1 / FPS))
+    times_s = np.arange(len(poses)) / FPS
+    motion = solve_body(Timeline(times_s, _joints(poses), 1 / FPS, points_beside(poses, "z")))
     return SkeletonTrack(motion.positions(), motion.world_rotations(), landmark_positions(motion))
 
 

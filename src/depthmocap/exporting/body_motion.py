@@ -80,5 +80,5 @@ def solve_body(line: Timeline, fill_s: float = 0.0, offsets: Float[ndarray, "18 
     steady = with_constant_bones(joints, offsets)
     standing = standing_feet(steady, line.frame_s)
     steady = hold_feet(steady, standing, line.frame_s)
-    local, root, held = solve_rotations(steady, offsets, line.times_s, _SMOOTH_S)
+    local, root, held = solve_rotations(steady, offsets, line.times_s, _SMOOTH_S, line.beside_y_up)
     return BodyMotion(line.times_s, line.frame_s, joints, offsets, local, root, held, filled, standing)

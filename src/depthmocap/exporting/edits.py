@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Int
 from numpy import ndarray
 
+from depthmocap.body.landmarks import POINT_MIRROR, POINTS
 from depthmocap.body.skeleton import MIRROR
 from depthmocap.core.output import write_json
 from depthmocap.core.reading.json_text import read_json, whole_number
@@ -23,6 +24,8 @@ SCHEMA = 1
 #: Largest number of characters of a name or a marker.
 LONGEST_NAME = 100
 EditKind = Literal["name", "join", "split", "exchange", "delete", "trim"]
+#: What a table has of every row.
+_ARRAYS = ("stamps_ns", "times_s", "joints", "confidence", "points", "points_confidence")
 #: Largest absolute value of a timestamp (ns).
 _MOST_NS = 2**63 - 1
 
@@ -174,9 +177,15 @@ def _within(table: PoseTable, edit: Edit) -> Bool[ndarray, " t"]:
 
 
 def _rows(table: PoseTable, which: Bool[ndarray, " t"] | Int[ndarray, " n"]) -> PoseTable:
-    return PoseTable(
-        table.stamps_ns[which], table.on_clock, table.times_s[which], table.joints[which], table.confidence[which]
-    )
+    kept = {key: array[which] for key in _ARRAYS if (array := getattr(table, key)) is not None}
+    return dataclasses.replace(table, **kept)
+
+
+def _with_unknown_points(table: PoseTable) -> PoseTable:
+    if table.points is not None:
+        return table
+    count = len(table), len(POINTS)
+    return dataclasses.replace(table, points=np.full((*count, 3), np.nan), points_confidence=np.zeros(count))
 
 
 def _apply_name(state: EditedPeople, edit: Edit, where: str) -> EditedPeople:
@@ -195,10 +204,11 @@ def _apply_join(state: EditedPeople, edit: Edit, where: str) -> EditedPeople:
     # Rows without a joint give way to rows of the other at the same instant.
     kept = seen | ~np.isin(table.stamps_ns, other.stamps_ns[~taken])
     table, other = _rows(table, kept), _rows(other, ~taken)
-    both = PoseTable(
-        np.concatenate([table.stamps_ns, other.stamps_ns]), table.on_clock,
-        *(np.concatenate([getattr(table, key), getattr(other, key)]) for key in ("times_s", "joints", "confidence")),
-    )  # fmt: skip
+    if table.points is not None or other.points is not None:
+        table, other = _with_unknown_points(table), _with_unknown_points(other)
+    arrays = {key: (getattr(table, key), getattr(other, key)) for key in _ARRAYS}
+    together = {key: np.concatenate(pair) for key, pair in arrays.items() if pair[0] is not None}
+    both = dataclasses.replace(table, **together)
     joined = _rows(both, np.argsort(both.stamps_ns, kind="stable"))
     assert edit.person is not None and edit.other is not None
     tables = {number: table for number, table in state.tables.items() if number != edit.other}
@@ -218,10 +228,14 @@ def _apply_split(state: EditedPeople, edit: Edit, where: str) -> EditedPeople:
 def _apply_exchange(state: EditedPeople, edit: Edit, where: str) -> EditedPeople:
     table = _table(state, edit.person, where)
     within = _within(table, edit)
-    joints = np.where(within[:, None, None], table.joints[:, MIRROR], table.joints)
-    confidence = np.where(within[:, None], table.confidence[:, MIRROR], table.confidence)
+    changed = {}
+    for name, mirror in (("joints", MIRROR), ("points", POINT_MIRROR)):
+        for key in (name, "confidence" if name == "joints" else "points_confidence"):
+            if (array := getattr(table, key)) is not None:
+                mask = within.reshape(-1, *[1] * (array.ndim - 1))
+                changed[key] = np.where(mask, array[:, mirror], array)
     assert edit.person is not None
-    return _with(state, {edit.person: dataclasses.replace(table, joints=joints, confidence=confidence)})
+    return _with(state, {edit.person: dataclasses.replace(table, **changed)})
 
 
 def _apply_delete(state: EditedPeople, edit: Edit, where: str) -> EditedPeople:
@@ -234,9 +248,11 @@ def _apply_delete(state: EditedPeople, edit: Edit, where: str) -> EditedPeople:
             state.take,
         )
     within = _within(table, edit)
-    joints = np.where(within[:, None, None], np.nan, table.joints)
-    confidence = np.where(within[:, None], 0.0, table.confidence)
-    return _with(state, {edit.person: dataclasses.replace(table, joints=joints, confidence=confidence)})
+    changed: dict[str, ndarray] = {}
+    for key, nothing in (("joints", np.nan), ("confidence", 0.0), ("points", np.nan), ("points_confidence", 0.0)):
+        if (array := getattr(table, key)) is not None:
+            changed[key] = np.where(within.reshape(-1, *[1] * (array.ndim - 1)), nothing, array)
+    return _with(state, {edit.person: dataclasses.replace(table, **changed)})
 
 
 def _apply_trim(state: EditedPeople, edit: Edit, where: str) -> EditedPeople:

@@ -54,6 +54,7 @@ def solve_rotations(
     offsets: Float[ndarray, "18 3"],
     times_s: Float[ndarray, " t"],
     smooth_s: float = 0.0,
+    beside: Float[ndarray, "t 18 3"] | None = None,
 ) -> tuple[Float[ndarray, "t 18 3 3"], Float[ndarray, "t 3"], Bool[ndarray, "t 18"]]:
     """Each joint's rotation in its parent's frame, the root's position (m), and the mask of held joints, by frame.
 
@@ -64,11 +65,12 @@ def solve_rotations(
         joints: Y up, NaN where unknown, with the skeleton's lengths (:func:`with_constant_bones`).
         offsets: of the rest skeleton.
         smooth_s: what is likely is smoothed over time in both directions (s, standard deviation).
+        beside: points of the skin from their joints (see ``seen_points.turned_by_points``).
     """
     whole = joints
     if np.isnan(joints).any():
         whole = joint_positions(*bone_rotations(joints, offsets)[:2], offsets)
-    return pointed_rotations(joints, offsets, likely_rotations(whole, times_s, offsets, smooth_s))
+    return pointed_rotations(joints, offsets, likely_rotations(whole, times_s, offsets, smooth_s, beside))
 
 
 def pointed_rotations(

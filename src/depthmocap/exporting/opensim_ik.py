@@ -20,9 +20,10 @@ from depthmocap.errors import InputError, missing_extra
 from depthmocap.exporting.body_motion import solve_body
 from depthmocap.exporting.exported_take import ExportedTake
 from depthmocap.exporting.file_settings import FileSettings
+from depthmocap.exporting.landmark_model import LandmarkModel
 from depthmocap.exporting.opensim_model import COORDINATES, PLACES, UNSURE, model_xml
 from depthmocap.exporting.trc import write_take_trc
-from depthmocap.exporting.virtual_markers import LandmarkModel, landmark_confidence, landmark_positions
+from depthmocap.exporting.virtual_markers import landmark_confidence, landmark_positions
 
 #: Weight of coordinates that markers may not show, against squared distances in metres.
 _HELD = 1e-4

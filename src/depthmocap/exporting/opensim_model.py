@@ -24,7 +24,7 @@ from depthmocap.core.output import write_file
 from depthmocap.exporting.body_motion import solve_body
 from depthmocap.exporting.exported_take import ExportedTake
 from depthmocap.exporting.file_settings import FileSettings
-from depthmocap.exporting.virtual_markers import LandmarkModel
+from depthmocap.exporting.landmark_model import LandmarkModel
 
 #: The version of OpenSim's format of models.
 _VERSION = "40600"

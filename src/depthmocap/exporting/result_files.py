@@ -19,12 +19,23 @@ from depthmocap.exporting.pose_csv import CsvWriter
 from depthmocap.exporting.summary import PoseStatistics, Summary, Take, frame_ranges, make_summary, write_summary
 from depthmocap.exporting.trc import write_trc
 from depthmocap.frames import Pose
-from depthmocap.recordings.pose_table import TIME, read_table
+from depthmocap.recordings.point_table import POINTS_FILE, read_poses
+from depthmocap.recordings.pose_table import TIME
 
 #: The files that ``run`` and ``live`` write into the folder of results and into the folder of each person.
 RESULT_FILES = ("pose.csv", "pose.trc", "pose.bvh", "summary.json")
 #: The files that they write besides, where they are told to.
-MORE_FILES = ("pose.npz", "model.osim", "ik.mot", "pose.c3d", "pose.glb", "pose.usd", "pose.fbx", "export.json")
+MORE_FILES = (
+    POINTS_FILE,
+    "pose.npz",
+    "model.osim",
+    "ik.mot",
+    "pose.c3d",
+    "pose.glb",
+    "pose.usd",
+    "pose.fbx",
+    "export.json",
+)
 #: The formats that :class:`PoseFiles` writes at its end.
 WRITTEN_FORMATS = ("trc", "bvh")
 #: The files that ``run`` also writes.
@@ -152,7 +163,7 @@ class PoseFiles:
         if self._folder is None:
             return {}
         # Read back rather than kept, because hours of poses would fill the memory.
-        poses, take = read_table(self._folder / "pose.csv").poses(), self._take
+        poses, take = read_poses(self._folder).poses(), self._take
         files = take.files
         if "trc" in files.formats:
             write_trc(

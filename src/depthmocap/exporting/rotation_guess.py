@@ -8,6 +8,7 @@ from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.exporting.learnt_rotations import LOOKED_BACK_S, RotationNetwork, nearest_rotations
+from depthmocap.exporting.seen_points import turned_by_points
 from depthmocap.geometry.transforms import cross, rotation_between
 
 #: Of the limbs that bend about a hinge: the joints that their bones start at, and the last one's end.
@@ -32,6 +33,7 @@ def likely_rotations(
     times_s: Float[ndarray, " t"],
     offsets: Float[ndarray, "18 3"],
     smooth_s: float = 0.0,
+    beside: Float[ndarray, "t 18 3"] | None = None,
 ) -> Float[ndarray, "t 18 3 3"]:
     """Rotations in the world, away from the T pose.
 
@@ -40,16 +42,23 @@ def likely_rotations(
         times_s: of the frames, in order.
         offsets: of the rest skeleton.
         smooth_s: standard deviation of a smoothing over time in both directions (s).
+        beside: points of the skin from their joints (see :func:`turned_by_points`).
     """
     window = np.stack([joints, *(_at(joints, times_s, times_s - back_s) for back_s in LOOKED_BACK_S[1:])])
-    return likely_now(window, offsets, smooth_s / float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0)
+    smooth_frames = smooth_s / float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+    return likely_now(window, offsets, smooth_frames, beside)
 
 
 def likely_now(
-    window: Float[ndarray, "w t 18 3"], offsets: Float[ndarray, "18 3"], smooth_frames: float = 0.0
+    window: Float[ndarray, "w t 18 3"],
+    offsets: Float[ndarray, "18 3"],
+    smooth_frames: float = 0.0,
+    beside: Float[ndarray, "t 18 3"] | None = None,
 ) -> Float[ndarray, "t 18 3 3"]:
     """As :func:`likely_rotations`, of joints now and at ``LOOKED_BACK_S``."""
     rotations = RotationNetwork.load()(window, float(np.linalg.norm(offsets, axis=-1).sum()))
+    if beside is not None:
+        rotations = turned_by_points(rotations, beside, offsets)
     if smooth_frames > 0:
         from scipy.ndimage import gaussian_filter1d  # slow to import
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from depthmocap.errors import InputError
 from depthmocap.exporting.summary import Summary, problem_lines
 from depthmocap.frames import Pose
-from depthmocap.recordings.pose_table import read_table
+from depthmocap.recordings.point_table import read_poses
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -39,11 +39,11 @@ class RunResult:
         return problem_lines(self.summary["problems"])
 
     def poses(self) -> list[Pose]:
-        """The poses, read from pose.csv.
+        """The poses, read from pose.csv and points.csv.
 
         Raises:
             InputError: when nothing was written, or the file no longer exists.
         """
         if self.folder is None:
             raise InputError("no poses were written: give a folder for them (out)")
-        return read_table(self.folder / "pose.csv").poses()
+        return read_poses(self.folder).poses()

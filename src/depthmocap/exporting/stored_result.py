@@ -10,7 +10,8 @@ from pathlib import Path
 from depthmocap.errors import InputError
 from depthmocap.exporting.edits import EDITS_FILE, Edits, TakeMarker, apply_edits, read_edits
 from depthmocap.exporting.summary import SUMMARY_FILE, Summary, read_summary
-from depthmocap.recordings.pose_table import PoseTable, read_table
+from depthmocap.recordings.point_table import read_poses
+from depthmocap.recordings.pose_table import PoseTable
 
 _PERSON = re.compile(r"person-(\d+)")
 
@@ -101,7 +102,7 @@ def read_result(folder: Path, edited: bool = True) -> StoredResult:
         with path.open("rb") as file:
             while block := file.read(1 << 20):
                 digest.update(block)
-    tables = {number: read_table(path) for number, path in files.items()}
+    tables = {number: read_poses(path.parent) for number, path in files.items()}
     summary = read_summary(folder) if (folder / SUMMARY_FILE).exists() else None
     edits = read_edits(folder, digest.hexdigest()) if edited else Edits(digest.hexdigest())
     result = StoredResult(folder, summary, summary["up"] if summary else "z", (), "", tables, edits)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray
 
+from depthmocap.body.landmarks import POINT_JOINTS
 from depthmocap.errors import InputError
 from depthmocap.frames import Pose
 from depthmocap.geometry import z_up_from
@@ -18,6 +19,8 @@ Y_UP_FROM_Z_UP = z_up_from("y").T
 
 #: Joints with less confidence were hardly observed: docs/guides/export.md has the measurement.
 LEAST_CONFIDENCE = 0.2
+#: A point of the skin with less confidence tells nothing of how its bone is turned.
+LEAST_POINT_CONFIDENCE = 0.5
 #: The frame interval of a recording of a single pose (seconds).
 SINGLE_FRAME_S = 1 / 30
 
@@ -30,11 +33,13 @@ def y_up_from(up: str) -> Float[ndarray, "3 3"]:
 @dataclasses.dataclass(frozen=True, eq=False)
 class Timeline:
     """A recording's joints (metres, Y up, NaN where unobserved or of low confidence), times from the origin and frame
-    interval (seconds)."""
+    interval (seconds); and, where the estimator tells them, points of the skin (``body.landmarks.POINTS``) from their
+    joints (metres, Y up, NaN where unknown)."""
 
     times_s: Float[ndarray, " t"]
     joints_y_up: Float[ndarray, "t 18 3"]
     frame_s: float
+    beside_y_up: Float[ndarray, "t 18 3"] | None = None
 
 
 def timeline(
@@ -75,7 +80,19 @@ def timeline(
     if len(poses) > 1:
         steps = np.maximum(np.rint(intervals_s / np.median(intervals_s)), 1)
         frame_s = float((times_s[-1] - times_s[0]) / steps.sum())
-    return Timeline(times_s, joints @ y_up_from(up).T, frame_s)
+    return Timeline(times_s, joints @ y_up_from(up).T, frame_s, points_beside(poses, up))
+
+
+def points_beside(poses: Sequence[Pose], up: str) -> Float[ndarray, "t 18 3"] | None:
+    """Points of the skin from their joints (m, Y up), NaN where they are unsure; None where no pose has any."""
+    if all(pose.points is None for pose in poses):
+        return None
+    beside = np.full((len(poses), len(POINT_JOINTS), 3), np.nan)
+    for row, pose in zip(beside, poses, strict=True):
+        if pose.points is not None and pose.points_confidence is not None:
+            sure = pose.points_confidence >= LEAST_POINT_CONFIDENCE
+            row[sure] = (pose.points - pose.joints[POINT_JOINTS])[sure]
+    return beside @ y_up_from(up).T
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,4 +143,5 @@ def evenly_spaced(line: Timeline, frames: FrameTimes | None = None) -> Timeline:
     source = np.searchsorted(line.times_s, frames.times_s + half_s, side="right") - 1
     lost = (source < 0) | (line.times_s[source] < frames.times_s - half_s * (1 + 1e-6))
     joints = np.where(lost[:, None, None], np.nan, line.joints_y_up[source])
-    return Timeline(frames.times_s, joints, frames.frame_s)
+    beside = None if line.beside_y_up is None else np.where(lost[:, None, None], np.nan, line.beside_y_up[source])
+    return Timeline(frames.times_s, joints, frames.frame_s, beside)

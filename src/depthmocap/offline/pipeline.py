@@ -20,7 +20,7 @@ from depthmocap.classify.classifier import ViewPrediction
 from depthmocap.core.network_devices import NetworkDevices
 from depthmocap.frames import FrameSet, Pose, View
 from depthmocap.pose.cloud import LabelledCloud, merge_agreeing_views, merge_views
-from depthmocap.pose.estimators import JointEstimator
+from depthmocap.pose.estimators import JointEstimator, estimate_pose
 from depthmocap.pose.front_memory import FrontMemory
 from depthmocap.pose.labelled_view import LabelledView
 from depthmocap.segment.people_segmenter import PersonMasks
@@ -213,10 +213,10 @@ class Pipeline:
         numbers: list[int | None] = [person.number for person in persons] or [None]
         clouds = [self._merge(frames, *pair) for pair in zip(by_person, numbers, strict=True)]
         clock.append(time.perf_counter())
-        raw = [Pose(frames.timestamp_ns, *self._estimator(cloud, self._up)) for cloud in clouds]
+        raw = [estimate_pose(self._estimator, cloud, self._up, frames.timestamp_ns) for cloud in clouds]
         for i, person in enumerate(persons):
             if person.doubt:
-                raw[i] = dataclasses.replace(raw[i], confidence=raw[i].confidence * (1 - person.doubt))
+                raw[i] = raw[i].doubted(person.doubt)
         clock.append(time.perf_counter())
         followed = raw[0] if self.smoothing is None else self.smoothing(raw[0])
         final = self._gone(frames.timestamp_ns)

@@ -13,6 +13,7 @@ from numpy import ndarray
 from depthmocap.body.regions import REGION, REGION_COUNT
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
+from depthmocap.frames import Pose
 from depthmocap.pose.cloud import MIN_CLOUD_POINTS, LabelledCloud
 from depthmocap.pose.features import Features, cloud_features
 from depthmocap.pose.labelled_view import Labels
@@ -79,6 +80,17 @@ class JointEstimator(Protocol):
     def __call__(
         self, cloud: LabelledCloud, up: str = "z"
     ) -> tuple[Float64[ndarray, "18 3"], Float64[ndarray, "18"]]: ...
+
+
+def estimate_pose(estimator: JointEstimator, cloud: LabelledCloud, up: str, timestamp_ns: int) -> Pose:
+    """The pose of a cloud; with points of the skin where the estimator tells them.
+
+    Raises:
+        InputError: as the estimator.
+    """
+    if isinstance(estimator, VotesEstimator) and estimator.has_points:
+        return Pose(timestamp_ns, *estimator.with_points(cloud, up))
+    return Pose(timestamp_ns, *estimator(cloud, up))
 
 
 class RidgeEstimator:

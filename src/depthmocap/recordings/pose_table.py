@@ -51,6 +51,7 @@ class PoseTable:
         times_s: the column ``time_s``; without it, seconds since the first row.
         joints: metres, NaN where unobserved.
         confidence: 0 to 1, 0 where unobserved.
+        points, points_confidence: the same of points of the skin (``body.landmarks.POINTS``), where a file tells them.
     """
 
     stamps_ns: Int[ndarray, " t"]
@@ -58,14 +59,18 @@ class PoseTable:
     times_s: Float[ndarray, " t"]
     joints: Float[ndarray, "t 18 3"]
     confidence: Float[ndarray, "t 18"]
+    points: Float[ndarray, "t 18 3"] | None = None
+    points_confidence: Float[ndarray, "t 18"] | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
     def poses(self) -> list[Pose]:
         """The rows as poses."""
-        rows = zip(self.stamps_ns.tolist(), self.joints, self.confidence, strict=True)
-        return [Pose(*row) for row in rows]
+        columns = [self.stamps_ns.tolist(), self.joints, self.confidence]
+        if self.points is not None and self.points_confidence is not None:
+            columns += [self.points, self.points_confidence]
+        return [Pose(*row) for row in zip(*columns, strict=True)]
 
 
 def read_csv(path: Path) -> tuple[Float[ndarray, " t"], Float[ndarray, "t 18 3"], Float[ndarray, "t 18"]]:

@@ -12,6 +12,7 @@ from depthmocap.smooth.bone_lengths import BoneLengthConstraint, BoneLengthSetti
 from depthmocap.smooth.fixed_lag import FixedLag, FixedLagSettings
 from depthmocap.smooth.kalman import Kalman, KalmanSettings
 from depthmocap.smooth.one_euro import OneEuro
+from depthmocap.smooth.point_carrier import PointCarrier
 from depthmocap.smooth.pose_filter import PoseFilter
 from depthmocap.smooth.swap_guard import SwapGuard, SwapGuardSettings
 
@@ -33,6 +34,7 @@ class PoseSmoother(PoseFilter):
     ) -> None:
         self._filter, self._guard = filter_, SwapGuard(sides)
         self._bones = None if bones is None else BoneLengthConstraint(bones)
+        self._points = PointCarrier()
         self.delay_frames = filter_.delay_frames
 
     @property
@@ -47,12 +49,15 @@ class PoseSmoother(PoseFilter):
 
     def __call__(self, pose: Pose) -> Pose:
         """See :class:`PoseFilter`."""
-        return self._constrain(self._filter(self._guard(pose)))
+        guarded = self._guard(pose)
+        self._points.add(guarded)
+        return self._constrain(self._filter(guarded))
 
     def reset(self) -> None:
         """See :class:`PoseFilter`."""
         self._guard.reset()
         self._filter.reset()
+        self._points.reset()
         if self._bones is not None:
             self._bones.reset()
 
@@ -68,7 +73,7 @@ class PoseSmoother(PoseFilter):
         return {**self._filter.describe(), "sides": dataclasses.asdict(self._guard.settings), "bones": bones}
 
     def _constrain(self, pose: Pose) -> Pose:
-        return pose if self._bones is None else self._bones(pose)
+        return self._points.carried(pose if self._bones is None else self._bones(pose))
 
 
 def load_filter(

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 from numpy import ndarray
 
+from depthmocap.body.landmarks import POINT_JOINTS, POINT_MIRROR
 from depthmocap.body.skeleton import JOINT_INDEX, JOINTS, MIRROR
 from depthmocap.errors import InputError
 from depthmocap.frames import Pose
@@ -79,6 +80,7 @@ class SwapGuard:
         horizon_s = _MEMORY_S * (1 - np.exp(-gap_s / _MEMORY_S))
         predicted = self._joints + horizon_s[:, None] * self._velocity
         joints, confidence = pose.joints.astype(np.float64), pose.confidence.copy()
+        points, points_confidence = pose.points, pose.points_confidence
         for limb, pair in _PAIRS.items():
             if not self._is_swapped(joints, predicted, pair):
                 self._swapped_s[limb] = max(self._swapped_s[limb] - elapsed_s, 0.0)
@@ -90,8 +92,11 @@ class SwapGuard:
             else:
                 order = np.where(pair, MIRROR, np.arange(len(JOINTS)))
                 joints, confidence = joints[order], confidence[order]
+                if points is not None and points_confidence is not None:
+                    order = np.where(pair[POINT_JOINTS], POINT_MIRROR, np.arange(len(POINT_JOINTS)))
+                    points, points_confidence = points[order], points_confidence[order]
         self._update(dataclasses.replace(pose, joints=joints, confidence=confidence), gap_s)
-        return Pose(pose.timestamp_ns, joints, confidence)
+        return Pose(pose.timestamp_ns, joints, confidence, points, points_confidence)
 
     def _is_swapped(
         self, joints: Float64[ndarray, "18 3"], predicted: Float64[ndarray, "18 3"], pair: Bool[ndarray, "18"]

@@ -13,9 +13,10 @@ from depthmocap.exporting.bone_rotations import bone_rotations, joint_positions,
 from depthmocap.exporting.constant_bones import with_constant_bones
 from depthmocap.exporting.foot_contacts import RunningFeet
 from depthmocap.exporting.kinematic_skeleton import pointed_rotations
-from depthmocap.exporting.learnt_rotations import LOOKED_BACK_S
+from depthmocap.exporting.learnt_rotations import LOOKED_BACK_S, nearest_rotations
 from depthmocap.exporting.rotation_guess import likely_now
-from depthmocap.exporting.timeline import LEAST_CONFIDENCE, Y_UP_FROM_Z_UP
+from depthmocap.exporting.seen_points import turned_by_points
+from depthmocap.exporting.timeline import LEAST_CONFIDENCE, Y_UP_FROM_Z_UP, points_beside
 from depthmocap.frames import Pose
 from depthmocap.geometry import z_up_from
 
@@ -23,6 +24,8 @@ from depthmocap.geometry import z_up_from
 LEARNT_POSES = 512
 #: and for so long of somebody seen (s); from then on it stays.
 LEARNT_S = 5.0
+#: Time constant of the low-pass of how points of the skin turn bones (s).
+_TURN_S = 0.1
 #: Longer than this between poses nobody was seen (s).
 _LONGEST_S = 0.2
 
@@ -55,7 +58,7 @@ class RunningSkeleton:
 
     def __init__(self, up: str, offsets: Float[ndarray, "18 3"] | None = None) -> None:
         """``up``: the up axis of the poses' world; ``offsets``: the rest skeleton (m) of a person who is known."""
-        self._y_up_from_world = Y_UP_FROM_Z_UP @ z_up_from(up)
+        self._up, self._y_up_from_world = up, Y_UP_FROM_Z_UP @ z_up_from(up)
         self._learnt: list[Float[ndarray, "18 3"]] = []
         self._count, self._seen_s, self._last_ns, self._given = 0, 0.0, 0, offsets is not None
         self._posed: PosedSkeleton | None = None
@@ -64,6 +67,7 @@ class RunningSkeleton:
         self._offsets = np.zeros((18, 3)) if offsets is None else offsets
         self._feet = RunningFeet()
         self._past: collections.deque[tuple[int, Float[ndarray, "18 3"]]] = collections.deque(maxlen=16)
+        self._turns = np.tile(np.eye(3), (18, 1, 1))
 
     @property
     def learning(self) -> bool:
@@ -89,12 +93,23 @@ class RunningSkeleton:
             frames = steady if before is None else np.concatenate([before.positions()[None], steady])
             whole = joint_positions(*bone_rotations(frames, self._offsets)[:2], self._offsets)[-1:]
         likely = likely_now(self._window(pose.timestamp_ns, whole), self._offsets)
+        if (beside := points_beside([pose], self._up)) is not None:
+            likely = self._turned(likely, beside, step_s)
         if before is not None and not sure.all():
             steady = np.concatenate([before.positions()[None], steady])
             likely = np.concatenate([before.world_rotations()[None], likely])
         local, root, _ = pointed_rotations(steady, self._offsets, likely)
         self._posed = PosedSkeleton(local[-1], root[-1], self._offsets)
         return self._posed
+
+    def _turned(
+        self, likely: Float[ndarray, "1 18 3 3"], beside: Float[ndarray, "1 18 3"], step_s: float
+    ) -> Float[ndarray, "1 18 3 3"]:
+        """Likely rotations, turned as points of the skin tell, whose noise a low-pass takes away."""
+        turns = np.swapaxes(likely[0], -1, -2) @ turned_by_points(likely, beside, self._offsets)[0]
+        weight = 1 - np.exp(-max(step_s, 0.0) / _TURN_S) if self._posed is not None else 1.0
+        self._turns = nearest_rotations(self._turns + weight * (turns - self._turns))
+        return likely @ self._turns
 
     def _learn(self, joints: Float[ndarray, "18 3"], step_s: float) -> None:
         if not self.learning:

@@ -17,6 +17,7 @@ from depthmocap.frames import View
 from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.geometry.transforms import look_at
 from depthmocap.synth.body.mesh import PosedBody
+from depthmocap.synth.body.mesh_landmarks import landmark_vertices
 from depthmocap.synth.cut import CUTS, Cut, cut_plane, random_cut
 from depthmocap.synth.motion.extreme_postures import FAMILIES, Family
 from depthmocap.synth.motion.postures import TRAINING_VARIATION, PostureSource, Variation, posture_source
@@ -212,11 +213,13 @@ BENCH: dict[str, Recipe] = {
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sample:
-    """One posture seen by n cameras; the group is the clip (or component) the posture came from."""
+    """One posture seen by n cameras; the group is the clip (or component) the posture came from. Of a generated person
+    the surface landmarks are known, too, in the order of ``body.landmarks.LANDMARKS`` (world, metres)."""
 
     views: tuple[View, ...]
     joints: Float[ndarray, "18 3"]
     group: int
+    landmarks: Float[ndarray, "58 3"] | None = None
 
 
 def see(person: PosedPerson, scene: Scene | None, camera: DepthCamera) -> Rendering:
@@ -274,7 +277,7 @@ def draw_sample(rng: np.random.Generator, recipe: Recipe, postures: PostureSourc
             mask &= ~hidden
             depth, labels = np.where(hidden, 0, depth), np.where(hidden, 0, labels)
         views.append(View(camera, depth, mask, labels))
-    return Sample(tuple(views), person.joints, group)
+    return Sample(tuple(views), person.joints, group, person.vertices[landmark_vertices()])
 
 
 def _drawn_cut(rng: np.random.Generator, recipe: Recipe) -> tuple[Cut | None, int]:

@@ -42,8 +42,15 @@ def read_checkpoint(path: Path, device: str) -> dict[str, Any]:
     return {**state, "done": done, "spent": spent, "history": history}
 
 
-def load_weights(network: nn.Module, path: Path) -> None:
+def load_weights(network: nn.Module, path: Path, optional: str | None = None) -> bool:
     """Load a .safetensors file into a network; names and shapes must match.
+
+    Args:
+        optional: weights whose names begin like this may be missing in the file, where the network keeps its own, or
+            in the network, where they are left out.
+
+    Returns:
+        Whether the file holds all of the network.
 
     Raises:
         InputError: when the file is missing, malformed or of another network.
@@ -55,9 +62,18 @@ def load_weights(network: nn.Module, path: Path) -> None:
     try:
         state = load(data)
         state = {k: v.float() if v.is_floating_point() else v for k, v in state.items()}
+        own = network.state_dict()
+        lacking = [k for k in own if k not in state]
+        if optional is not None:
+            kept, more = ([k for k in weights if k.startswith(optional)] for weights in (own, state))
+            if not more:
+                state |= {k: own[k] for k in kept}
+            elif not kept:
+                state = {k: v for k, v in state.items() if k not in more}
         network.load_state_dict(state)
     except (SafetensorError, RuntimeError, ValueError) as error:
         raise InputError(f"{path} does not hold weights of this network: {str(error).splitlines()[0]}") from None
+    return not lacking
 
 
 def save_weights(network: nn.Module, path: Path) -> None:

@@ -18,6 +18,7 @@ from numpy import ndarray
 from rich.console import Console
 from rich.progress import Progress
 
+from depthmocap.body.landmarks import LANDMARKS
 from depthmocap.classify.classifier import Classifier
 from depthmocap.core.output import atomic_write
 from depthmocap.core.reading.array_files import ArrayType, error_reason, read_npz
@@ -82,6 +83,7 @@ class CollectedSamples:
         parts: by kind of labels, statistics of each part in each view (``parts.part_statistics``); 0 for the cameras
             that a sample lacks.
         joints: true joints in the world, metres.
+        landmarks: true surface landmarks in the world, metres; NaN of recorded people, and of older files.
         groups: group (clip) of each posture.
         features: by kind of labels and number of cameras: the paper's features, the joints in the features' frame, and
             the groups.
@@ -89,6 +91,7 @@ class CollectedSamples:
 
     parts: dict[Labels, Float32[ndarray, "n views 61 16"]]
     joints: Float[ndarray, "n 18 3"]
+    landmarks: Float[ndarray, "n 58 3"]
     groups: Int[ndarray, "n"]
     features: dict[tuple[Labels, int], tuple[ndarray, ndarray, ndarray]]
 
@@ -134,8 +137,8 @@ def read_samples(folder: Path, settings: PoseSampleSettings) -> CollectedSamples
 
 
 def append_parts(samples: CollectedSamples, others: Sequence[CollectedSamples]) -> CollectedSamples:
-    """Samples with the parts and joints of others appended, for the voting network. The paper's features remain those
-    of the first samples. Samples with fewer cameras are padded with cameras that see nothing."""
+    """Samples with the parts, joints and landmarks of others appended, for the voting network. The paper's features
+    remain those of the first samples. Samples with fewer cameras are padded with cameras that see nothing."""
     collections = [samples, *others]
     views = max(part.parts[LABELS[0]].shape[1] for part in collections)
 
@@ -146,6 +149,7 @@ def append_parts(samples: CollectedSamples, others: Sequence[CollectedSamples]) 
         samples,
         parts={labels: np.concatenate([padded(part.parts[labels]) for part in collections]) for labels in LABELS},
         joints=np.concatenate([part.joints for part in collections]),
+        landmarks=np.concatenate([part.landmarks for part in collections]),
         groups=np.concatenate([part.groups for part in collections]),
     )
 
@@ -187,6 +191,8 @@ def _measure(
     sample: Sample, settings: PoseSampleSettings, classifier: Classifier, rng: np.random.Generator
 ) -> dict[str, ndarray]:
     row: dict[str, ndarray] = {"joints": sample.joints, "groups": np.array(sample.group)}
+    unknown = np.full((len(LANDMARKS), 3), np.nan)
+    row["landmarks"] = (unknown if sample.landmarks is None else sample.landmarks).astype(np.float32)
     chosen = {count: _choices(len(sample.views), count, rng) for count in settings.views}
     for labels in LABELS:
         views = label_sample(sample.views, classifier if labels == "network" else None)
@@ -220,7 +226,7 @@ def _choices(available: int, count: int, rng: np.random.Generator) -> list[tuple
 
 def _stacked(name: str) -> bool:
     """Whether a name's arrays have one row a sample; the others have any number."""
-    return name.split()[0] in ("joints", "groups", "parts")
+    return name.split()[0] in ("joints", "landmarks", "groups", "parts")
 
 
 def _stack(rows: list[dict[str, ndarray]]) -> dict[str, ndarray]:
@@ -240,7 +246,9 @@ def _read(files: list[Path], settings: PoseSampleSettings) -> CollectedSamples:
     chunks = []
     for file in files:
         try:
-            chunks.append(read_npz(file, types))
+            chunk = read_npz(file, types, optional={"landmarks": ArrayType(f"n {len(LANDMARKS)} 3", "f")})
+            unknown = np.full((len(chunk["joints"]), len(LANDMARKS), 3), np.nan, np.float32)
+            chunks.append({"landmarks": unknown, **chunk})
         except InputError as error:
             what = "remove it, and it is made again, or give the --views that it has"
             views = list(settings.views)
@@ -253,6 +261,7 @@ def _read(files: list[Path], settings: PoseSampleSettings) -> CollectedSamples:
     return CollectedSamples(
         {labels: arrays[f"parts {labels}"] for labels in LABELS},
         arrays["joints"],
+        arrays["landmarks"],
         arrays["groups"],
         {
             (labels, count): (

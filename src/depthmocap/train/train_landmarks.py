@@ -19,8 +19,8 @@ from depthmocap.core.output import atomic_write
 from depthmocap.core.settings import check_seed
 from depthmocap.errors import InputError
 from depthmocap.exporting.body_motion import solve_body
+from depthmocap.exporting.landmark_model import LandmarkModel, build_of, person_size_m
 from depthmocap.exporting.timeline import Timeline
-from depthmocap.exporting.virtual_markers import LandmarkModel, build_of, person_size_m
 from depthmocap.geometry import z_up_from
 from depthmocap.synth.body.hands import random_grip, with_hands
 from depthmocap.synth.body.mesh import REST_POSTURE, Body, BodyModel, Phenotype

@@ -39,6 +39,7 @@ class PoseTraining:
         minutes: how long the voting network is trained.
         learning_rate: its peak, of the voting network.
         start: a votes.safetensors that its training goes on from.
+        points_only: joints stay exactly those of --start, and points of the skin alone are learnt.
         earlier: folders of samples collected before (of other weights, of other postures), from which the voting
             network learns as well.
         bfloat16: multiply matrices in half precision; by default where the device has instructions for it.
@@ -51,9 +52,12 @@ class PoseTraining:
     learning_rate: float = 1.5e-3
     earlier: tuple[Path, ...] = ()
     start: Path | None = None
+    points_only: bool = False
     bfloat16: bool | None = None
 
     def __post_init__(self) -> None:
+        if self.points_only and self.start is None:
+            raise InputError("--points-only needs --start, whose joints stay as they are")
         check_above_0({"--minutes": self.minutes, "--learning-rate": self.learning_rate})
         if self.estimators != "votes" and self.source.samples < FEWEST_SAMPLES:
             raise InputError(
@@ -102,7 +106,10 @@ def _collect_and_train(settings: PoseTraining, console: Console) -> list[Path]:
         console = Terminal(quiet=True)
         wait_for_all()
         samples = read_samples(settings.out / "samples", settings.source)
-    training = VotesTraining(settings.minutes, settings.learning_rate, start=settings.start, bfloat16=settings.bfloat16)
+    training = VotesTraining(
+        settings.minutes, settings.learning_rate, start=settings.start, points_only=settings.points_only,
+        bfloat16=settings.bfloat16,
+    )  # fmt: skip
     samples = append_parts(samples, [read_samples(folder, PoseSampleSettings(views=())) for folder in settings.earlier])
     written.append(train_votes(samples, training, settings.source.seed, settings.out, console))
     return written

@@ -20,10 +20,13 @@ from rich.progress import Progress
 from torch import nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
+from depthmocap.body.landmarks import POINT_JOINTS, POINT_MIRROR, POINT_ROWS, POINTS
 from depthmocap.body.regions import REGION_COUNT
+from depthmocap.body.skeleton import JOINTS
 from depthmocap.body.skeleton import MIRROR as MIRRORED_JOINTS
 from depthmocap.core.output import atomic_write, write_file
 from depthmocap.core.settings import check_above_0
+from depthmocap.errors import InputError
 from depthmocap.geometry.transforms import rotation_between
 from depthmocap.pose.labelled_view import LABELS, Labels
 from depthmocap.pose.parts import (
@@ -72,6 +75,10 @@ _MISPLACED = 0.5
 #: Parts and share of a sample's cameras in which left and right of these parts are swapped, in addition to the
 #: classifier's own swaps; only where there are several cameras.
 _SWAPPED = ((ARMS, 0.04), (LEGS, 0.02), (ARMS | True, 0.01))
+#: Weight of the points' mean distance against the joints'.
+_POINT_WEIGHT = 0.5
+#: What is learnt: joints, then points. ``targets[:, _MIRRORED_TARGETS]`` swaps left and right.
+_MIRRORED_TARGETS = np.concatenate([MIRRORED_JOINTS, len(JOINTS) + POINT_MIRROR])
 #: One in this many groups of postures is used for validation.
 _VALID_FOLDS = 20
 
@@ -85,6 +92,7 @@ class VotesTraining:
         learning_rate: its peak; it falls to zero along a cosine.
         weight_decay: of AdamW.
         start: a votes.safetensors to start from.
+        points_only: joints stay exactly those of ``start``; what tells points from their tokens learns alone.
         bfloat16: multiply matrices in half precision; by default where the device has instructions for it.
     """
 
@@ -92,21 +100,22 @@ class VotesTraining:
     learning_rate: float = 1.5e-3
     weight_decay: float = 0.03
     start: Path | None = None
+    points_only: bool = False
     bfloat16: bool | None = None
 
 
 def augment(
-    rng: np.random.Generator, parts: Float32[ndarray, "n v 61 16"], joints: Float[ndarray, "n 18 3"]
-) -> tuple[Float32[ndarray, "n v 61 16"], Float[ndarray, "n 18 3"]]:
+    rng: np.random.Generator, parts: Float32[ndarray, "n v 61 16"], targets: Float[ndarray, "n t 3"]
+) -> tuple[Float32[ndarray, "n v 61 16"], Float[ndarray, "n t 3"]]:
     """Augment samples: mirror images, fewer cameras, errors of the extrinsics, swapped sides, missing regions. At least
-    one camera that sees something is left in each sample."""
+    one camera that sees something is left in each sample. The targets are the 18 joints, or these and the points."""
     n, views = parts.shape[:2]
     mirror = rng.random(n) < 0.5
-    parts, joints = parts.copy(), joints.copy()
+    parts, targets = parts.copy(), targets.copy()
     flipped = parts[mirror][:, :, MIRRORED]
     flipped[..., [CENTRE.start + 1, TO_CAMERA.start + 1, COVARIANCE.start + 1, COVARIANCE.start + 4]] *= -1
     parts[mirror] = flipped
-    joints[mirror] = joints[mirror][:, MIRRORED_JOINTS] * [1, -1, 1]
+    targets[mirror] = targets[mirror][:, _MIRRORED_TARGETS[: targets.shape[1]]] * [1, -1, 1]
 
     has_view = (parts[..., 0] > 0).any(-1)
     order = np.where(has_view, rng.random((n, views)), 2).argsort(1)
@@ -124,16 +133,16 @@ def augment(
 
     misplaced = (rng.random(n) < _MISPLACED)[:, None]
     angle = rng.normal(0, 0.008, (n, views)) * misplaced
-    middle = joints.mean(1)
+    middle = targets[:, : len(JOINTS)].mean(1)
     turn = yaw_matrix(np.cos(angle), np.sin(angle))
     shift = rng.normal(0, 0.012, (n, views, 3)) * misplaced[..., None]
     shift += middle[:, None] - np.einsum("nvij,nj->nvi", turn, middle)
-    return transform_parts(parts, turn, shift), joints
+    return transform_parts(parts, turn, shift), targets
 
 
 def tilt(
-    rng: np.random.Generator, parts: Float32[ndarray, "n v 61 16"], joints: Float[ndarray, "n 18 3"]
-) -> tuple[Float32[ndarray, "n v 61 16"], Float[ndarray, "n 18 3"]]:
+    rng: np.random.Generator, parts: Float32[ndarray, "n v 61 16"], targets: Float[ndarray, "n t 3"]
+) -> tuple[Float32[ndarray, "n v 61 16"], Float[ndarray, "n t 3"]]:
     """Tilt a share of the samples by any angle to any side, since people who lie or stand on their hands are rare in
     recordings. The appearance of a region does not depend on its direction. Heights change little."""
     chosen = rng.random(len(parts)) < _TILTED
@@ -142,12 +151,12 @@ def tilt(
     sine = np.sqrt(1 - cosine**2)
     up = np.stack([sine * np.cos(side), sine * np.sin(side), cosine], -1)
     turn = rotation_between(np.broadcast_to([0.0, 0.0, 1.0], (n, 3)), up)
-    middle = joints[chosen].mean(1)
+    middle = targets[chosen, : len(JOINTS)].mean(1)
     shift = middle - np.einsum("nij,nj->ni", turn, middle)
-    parts, joints = parts.copy(), joints.copy()
+    parts, targets = parts.copy(), targets.copy()
     parts[chosen] = transform_parts(parts[chosen], turn[:, None].repeat(views, 1), shift[:, None].repeat(views, 1))
-    joints[chosen] = joints[chosen] @ np.swapaxes(turn, -1, -2) + shift[:, None]
-    return parts, joints
+    targets[chosen] = targets[chosen] @ np.swapaxes(turn, -1, -2) + shift[:, None]
+    return parts, targets
 
 
 def _perturb_frame(rng: np.random.Generator, frame: BodyFrame) -> BodyFrame:
@@ -158,16 +167,21 @@ def _perturb_frame(rng: np.random.Generator, frame: BodyFrame) -> BodyFrame:
     return BodyFrame(frame.origin + rng.normal(0, 0.03, (n, 3)), turn)
 
 
-def _errors(network: nn.Module, parts: ndarray, joints: ndarray) -> ndarray:
-    """(n, 18) errors in metres, without augmentation."""
+def _errors(network: nn.Module, parts: ndarray, targets: ndarray) -> ndarray:
+    """(n, t) errors in metres, without augmentation."""
     out = []
     with torch.no_grad():
         for i in range(0, len(parts), 512):
             part = parts[i : i + 512]
             frame = body_frame(part)
-            estimates, _ = network(torch.from_numpy(network_inputs(part, frame)[0]))
-            out.append(np.linalg.norm(estimates.numpy() - frame.from_world(joints[i : i + 512]), axis=-1))
+            estimates, _ = _joined(network(torch.from_numpy(network_inputs(part, frame)[0])))
+            out.append(np.linalg.norm(estimates.numpy() - frame.from_world(targets[i : i + 512]), axis=-1))
     return np.concatenate(out)
+
+
+def _joined(outputs: tuple[torch.Tensor, ...]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Positions of joints and points, if the network has these, and the logits of both."""
+    return torch.cat(outputs[::2], 1), torch.cat(outputs[1::2], 1)
 
 
 def _mean_votes(parts: ndarray, joints: ndarray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -196,6 +210,9 @@ class _Data:
 
     def __init__(self, samples: CollectedSamples, seed: int) -> None:
         self._samples = samples
+        points = samples.landmarks[:, POINT_ROWS]
+        self.points = bool(np.isfinite(points).any())
+        self._targets = np.concatenate([samples.joints, points], 1) if self.points else samples.joints
         self._rng = np.random.default_rng([seed, 11, process_rank()] if process_rank() else [seed, 11])
         self._labels: list[Labels] = [k for k in LABELS if samples.parts[k][..., 0].any()]
         complete = np.all([samples.parts[k][..., 0].any((-1, -2)) for k in self._labels], axis=0)
@@ -203,21 +220,34 @@ class _Data:
         self.train, self.valid = np.flatnonzero(complete & ~held_out), np.flatnonzero(complete & held_out)
 
     def rows(self, rows: ndarray) -> tuple[ndarray, ndarray]:
-        """Parts of the first kind of labels, and joints, without augmentation."""
-        return self._samples.parts[self._labels[0]][rows], self._samples.joints[rows]
+        """Parts of the first kind of labels, and joints with points (NaN where unknown) if any sample has these,
+        without augmentation."""
+        return self._samples.parts[self._labels[0]][rows], self._targets[rows]
+
+    def usual_points(self) -> torch.Tensor:
+        """Mean places of points beside their joints in the body's frame."""
+        parts, targets = self.rows(self.train[:2000])
+        inside = body_frame(parts).from_world(targets)
+        beside = inside[:, len(JOINTS) :] - inside[:, POINT_JOINTS]
+        return torch.from_numpy(np.nanmean(beside, 0).astype(np.float32))
 
     def draw_batch(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Inputs of the network and the true joints in the body's frame, of a random augmented batch."""
+        """Inputs of the network and what it is to tell in the body's frame, of a random augmented batch."""
         rng = self._rng
         rows = rng.choice(self.train, _BATCH)
         use_true = rng.random(_BATCH) < (_TRUE_LABELS if len(self._labels) > 1 else 0)
-        parts, joints = self.rows(rows)
+        parts, targets = self.rows(rows)
         if use_true.any():
             parts[use_true] = self._samples.parts[self._labels[1]][rows[use_true]]
-        parts, joints = augment(rng, *tilt(rng, parts, joints))
+        parts, targets = augment(rng, *tilt(rng, parts, targets))
         frame = _perturb_frame(rng, body_frame(parts))
         inputs, _ = network_inputs(parts, frame)
-        return torch.from_numpy(inputs), torch.from_numpy(frame.from_world(joints).astype(np.float32))
+        return torch.from_numpy(inputs), torch.from_numpy(frame.from_world(targets).astype(np.float32))
+
+
+def _known_mean(values: torch.Tensor, known: torch.Tensor) -> torch.Tensor:
+    """Mean of the values in the mask; 0 of none."""
+    return torch.where(known, values, 0.0).sum() / known.sum().clamp(min=1)
 
 
 class _Run:
@@ -225,29 +255,47 @@ class _Run:
 
     def __init__(self, data: _Data, settings: VotesTraining) -> None:
         self._settings = settings
-        self._network = VotesNet()
+        self._network = VotesNet(points=data.points)
+        complete = False
         if settings.start is None:
-            self._network.start_from(*_mean_votes(*data.rows(data.train)))
+            parts, targets = data.rows(data.train)
+            self._network.start_from(*_mean_votes(parts, targets[:, : len(JOINTS)]))
         else:
-            load_weights(self._network, settings.start)
+            complete = load_weights(self._network, settings.start, "points.")
+        if self._network.points is not None and not complete:
+            self._network.points.usual_place.data.copy_(data.usual_points())
+        if settings.points_only:
+            if self._network.points is None:
+                raise InputError("no sample tells points: collect them anew")
+            self._network.requires_grad_(False)
+            self._network.points.requires_grad_(True)
         self._average = AveragedModel(self._network, multi_avg_fn=get_ema_multi_avg_fn(_AVERAGE_DECAY))
         self._optimiser = torch.optim.AdamW(
-            self._network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay, betas=(0.9, 0.98)
+            [parameter for parameter in self._network.parameters() if parameter.requires_grad],
+            settings.learning_rate,
+            weight_decay=settings.weight_decay,
+            betas=(0.9, 0.98),
         )
         self._bfloat16 = in_bfloat16(settings.bfloat16)
         self.steps = 0
 
-    def step(self, inputs: torch.Tensor, joints: torch.Tensor, share: float) -> float:
-        """Train on one batch at a share (0–1) of the run; returns the mean distance (cm) of the joints."""
+    def step(self, inputs: torch.Tensor, targets: torch.Tensor, share: float) -> tuple[float, float]:
+        """Train on one batch at a share (0–1) of the run; returns the mean distances (cm) of joints and points."""
         factor = cosine_rate(share, (self.steps + 1) / _WARM_UP_STEPS)
         for group in self._optimiser.param_groups:
             group["lr"] = self._settings.learning_rate * factor + LEAST_RATE
         with torch.autocast("cpu", torch.bfloat16, enabled=self._bfloat16):
-            estimates, logits = self._network(inputs)
-        distance = (estimates - joints).norm(dim=-1)
+            estimates, logits = _joined(self._network(inputs))
+        known = targets[..., 0].isfinite()
+        distance = (estimates - targets.nan_to_num()).norm(dim=-1)
         right = (distance.detach() < RIGHT_M).float()
-        confidence_loss = nn.functional.binary_cross_entropy_with_logits(logits.float(), right)
-        loss = distance.mean() + _CONFIDENCE_WEIGHT * confidence_loss
+        doubt = nn.functional.binary_cross_entropy_with_logits(logits.float(), right, reduction="none")
+        of_joints, of_points = (
+            (_known_mean(distance[:, part], known[:, part]), _known_mean(doubt[:, part], known[:, part]))
+            for part in (slice(len(JOINTS)), slice(len(JOINTS), None))
+        )
+        loss, confidence_loss = (a + _POINT_WEIGHT * b for a, b in zip(of_joints, of_points, strict=True))
+        loss = loss + _CONFIDENCE_WEIGHT * confidence_loss
         self._optimiser.zero_grad()
         loss.backward()
         average_gradients(self._network)
@@ -256,11 +304,13 @@ class _Run:
         self.steps += 1
         if self.steps > _AVERAGE_AFTER:
             self._average.update_parameters(self._network)
-        return distance.mean().item() * 100
+        return of_joints[0].item() * 100, of_points[0].item() * 100
 
-    def best(self) -> nn.Module:
+    def best(self) -> VotesNet:
         """The averaged network; the network itself before averaging starts."""
-        return self._average.module if self._average.n_averaged > 0 else self._network
+        averaged = self._average.module
+        assert isinstance(averaged, VotesNet)
+        return averaged if self._average.n_averaged > 0 else self._network
 
 
 def train_votes(samples: CollectedSamples, settings: VotesTraining, seed: int, out: Path, console: Console) -> Path:
@@ -283,13 +333,23 @@ def train_votes(samples: CollectedSamples, settings: VotesTraining, seed: int, o
         while (share := same_everywhere((time.monotonic() - start) / 60 / settings.minutes)) < 1:
             distances.append(run.step(*data.draw_batch(), share))
             count = run.steps * _BATCH * process_count()
-            progress.update(task, completed=share, description=f"{count} samples  {distances[-1]:.1f} cm")
+            progress.update(task, completed=share, description=f"{count} samples  {distances[-1][0]:.1f} cm")
             if time.monotonic() - reported > max(20, settings.minutes * 3):
                 reported = time.monotonic()
-                row = {"minutes": (reported - start) / 60, "samples": count, "train_cm": float(np.mean(distances))}
+                row = {
+                    "minutes": (reported - start) / 60,
+                    "samples": count,
+                    "train_cm": float(np.mean(distances, 0)[0]),
+                }
+                if data.points:
+                    row["train_points_cm"] = float(np.mean(distances, 0)[1])
                 if len(data.valid):
                     errors = _errors(run.best(), *data.rows(data.valid))
-                    row |= {"valid_cm": float(errors.mean()) * 100, "valid_within_10cm": float((errors < 0.1).mean())}
+                    of_joints, of_points = errors[:, : len(JOINTS)], errors[:, len(JOINTS) :]
+                    row |= {"valid_cm": 100 * float(of_joints.mean())}
+                    row |= {"valid_within_10cm": float((of_joints < RIGHT_M).mean())}
+                    if np.isfinite(of_points).any():
+                        row["valid_points_cm"] = 100 * float(np.nanmean(of_points))
                 distances = []
                 history.append(row)
                 progress.console.print({k: round(v, 3) for k, v in row.items()})
@@ -312,18 +372,23 @@ def _early_end(begun: Callable[[], bool], console: Console) -> Iterator[None]:
         console.print("stopped: what was learnt until now is written, and --start goes on from it")
 
 
-def export_votes(network: nn.Module, path: Path) -> Path:
-    """Write the network as ONNX: input ``parts`` (n, views, 61, 16), outputs ``joints`` and ``sure``."""
+def export_votes(network: VotesNet, path: Path) -> Path:
+    """Write the network as ONNX: input ``parts`` (n, views, 61, 16), outputs ``joints`` and ``sure``, and of a network
+    with points ``points`` and ``points_sure``, whose names are in the metadata, separated by spaces."""
     import onnx
+    from onnx import helper
 
     from depthmocap.train.onnx_export import store_half
 
     network = copy.deepcopy(network).eval()
+    outputs = ["joints", "sure"]
+    if network.points is not None:
+        outputs += ["points", "points_sure"]
     example = torch.zeros(2, 3, PART_COUNT, PART_COLUMNS)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
-            network, (example,), input_names=["parts"], output_names=["joints", "sure"],
+            network, (example,), input_names=["parts"], output_names=outputs,
             dynamo=True, verbose=False,
             dynamic_shapes={"parts": {0: torch.export.Dim("n", min=1), 1: torch.export.Dim("views", min=1)}},
         )  # fmt: skip
@@ -331,6 +396,8 @@ def export_votes(network: nn.Module, path: Path) -> Path:
     program.optimize()
     model = program.model_proto
     store_half(model)
+    if network.points is not None:
+        helper.set_model_props(model, {"points": " ".join(POINTS)})
     with atomic_write(path) as unfinished:
         onnx.save(model, unfinished)
     return path

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from depthmocap.body.landmarks import POINT_JOINTS, POINTS
 from depthmocap.body.regions import REGION_COUNT
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.pose.parts import CENTRE, COUNT, MIRRORED, PART_COLUMNS, PART_COUNT
@@ -67,6 +68,48 @@ class _Others(nn.Module):
         return self.out(torch.cat(summaries, -1))
 
 
+class _Points(nn.Module):
+    """Points of the skin (``body.landmarks.POINTS``) from the tokens that joints are told from, which they do not
+    change.
+
+    Each visible part votes for each point, as for joints, by the offset of the point's joint and a little more. One
+    vote more is relative to where that joint is estimated. At first a point is at its mean place beside it.
+    """
+
+    def __init__(self, width: int, inner: int = 64) -> None:
+        super().__init__()
+        count = len(POINTS)
+        self.joint: Tensor
+        self.register_buffer("joint", torch.from_numpy(POINT_JOINTS), persistent=False)
+        self.offsets = nn.Linear(width, 3 * count)
+        self.ask = nn.Parameter(torch.zeros(count, width))
+        self.beside = nn.Sequential(nn.Linear(width, inner), nn.GELU())
+        self.own = nn.Parameter(torch.zeros(count, inner, 4))
+        self.own_weight = nn.Parameter(torch.full((count,), 8.0))
+        self.sure = nn.Parameter(torch.zeros(count, inner))
+        self.sure_bias = nn.Parameter(torch.zeros(count))
+        self.usual_place = nn.Parameter(torch.zeros(count, 3))
+        self.usual_weights = nn.Parameter(torch.zeros(count, PART_COUNT))
+        nn.init.zeros_(self.offsets.weight)
+        nn.init.zeros_(self.offsets.bias)
+
+    def forward(
+        self, regions: Tensor, joints: Tensor, votes: Tensor, attention: Tensor, keys: Tensor, estimates: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        # regions (n, 61, width), joints (n, 18, width), votes (n, 61, 18, 3), attention (n, 18, 61), keys as regions,
+        # estimates (n, 18, 3)
+        offsets = self.offsets(regions).unflatten(-1, (len(POINTS), 3)) * _UNIT_M
+        votes = votes.index_select(2, self.joint) + self.usual_place + offsets
+        beside = self.beside(joints).index_select(1, self.joint)
+        own = (beside.unsqueeze(-1) * self.own).sum(2)
+        place = estimates.index_select(1, self.joint) + self.usual_place + own[..., :3] * _UNIT_M
+        asked = attention.index_select(1, self.joint) + self.usual_weights
+        asked = asked + self.ask @ keys.transpose(1, 2) * self.ask.shape[1] ** -0.5
+        share = torch.softmax(torch.cat([asked, (own[..., 3] + self.own_weight).unsqueeze(-1)], -1), -1)
+        points = (share[..., :-1, None] * votes.transpose(1, 2)).sum(2) + share[..., -1:] * place
+        return points, (beside * self.sure).sum(-1) + self.sure_bias
+
+
 class VotesNet(nn.Module):
     """From statistics of the regions in each camera to joints, all in the body's frame.
 
@@ -77,10 +120,11 @@ class VotesNet(nn.Module):
     so that the network learns only the differences. Each joint also has one vote relative to the frame, for samples in
     which little is visible. The order of the cameras makes no difference.
 
-    ``forward`` gives joints (n, 18, 3) in metres and the logit of the probability that a joint is within 10 cm (n, 18).
+    ``forward`` gives joints (n, 18, 3) in metres and the logit of the probability that a joint is within 10 cm (n, 18),
+    and, of a network with ``points``, the same of those of the skin (n, 18, 3) and (n, 18).
     """
 
-    def __init__(self, width: int = 128, layers: int = 3, heads: int = 4) -> None:
+    def __init__(self, width: int = 128, layers: int = 3, heads: int = 4, points: bool = True) -> None:
         super().__init__()
         self.sizes = (width, layers, heads)
         self.look, self.look_at_joints = nn.Linear(PART_COLUMNS, width), nn.Linear(PART_COLUMNS, width)
@@ -106,6 +150,7 @@ class VotesNet(nn.Module):
         self.usual_offsets = nn.Parameter(torch.zeros(PART_COUNT, len(JOINTS), 3))
         self.usual_weights = nn.Parameter(torch.zeros(len(JOINTS), PART_COUNT))
         self.usual_place = nn.Parameter(torch.zeros(len(JOINTS), 3))
+        self.points = _Points(width) if points else None
 
     def start_from(self, offsets: Tensor, variances: Tensor, places: Tensor) -> None:
         """Set the constant parts: offsets (61, 18, 3) of joints from parts, their variances (61, 18), whose inverses
@@ -118,7 +163,7 @@ class VotesNet(nn.Module):
                 layer.weight.mul_(0.1)
                 layer.bias.zero_()
 
-    def forward(self, parts: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, parts: Tensor) -> tuple[Tensor, ...]:
         # parts: (n, views, 61, 16), see parts.network_inputs; unseen rows are 0.
         hidden = (parts[..., COUNT] == 0).unsqueeze(-1)
         regions, joints = parts.split([REGION_COUNT, len(JOINTS)], 2)
@@ -135,11 +180,15 @@ class VotesNet(nn.Module):
         regions, joints = self.last(x).split([PART_COUNT, len(JOINTS)], 1)
         offsets = self.usual_offsets + self.offsets(regions).unflatten(-1, (len(JOINTS), 3)) * _UNIT_M
         votes = centre.unsqueeze(2) + offsets
-        attention = self.usual_weights + self.ask(joints) @ self.answer(regions).transpose(1, 2) * self.sizes[0] ** -0.5
+        keys = self.answer(regions)
+        attention = self.usual_weights + self.ask(joints) @ keys.transpose(1, 2) * self.sizes[0] ** -0.5
         attention = attention.masked_fill(nobody.transpose(1, 2), _HIDDEN)
         frame_vote = self.own(joints)
         share = torch.softmax(torch.cat([attention, frame_vote[..., 3:]], -1), -1)
         place = self.usual_place + frame_vote[..., :3] * _UNIT_M
         # A sum, not a product of matrices, which half precision would round to 4 mm.
         estimates = (share[..., :-1, None] * votes.transpose(1, 2)).sum(2) + share[..., -1:] * place
-        return estimates, self.sure(joints).squeeze(-1)
+        sure = self.sure(joints).squeeze(-1)
+        if self.points is None:
+            return estimates, sure
+        return estimates, sure, *self.points(regions, joints, votes, attention, keys, estimates)

@@ -57,11 +57,17 @@ def check_type(shape: tuple[int, ...], dtype: Any, expected: ArrayType, sides: d
         raise InputError(f"{what} has the shape {shape}: expected ({lengths})")
 
 
-def read_npz(path: Path, expected: Mapping[str, ArrayType], largest: int = LARGEST_ARRAYS) -> dict[str, ndarray]:
-    """Read arrays of an .npz file by name. All must exist; other arrays are not read.
+def read_npz(
+    path: Path,
+    expected: Mapping[str, ArrayType],
+    largest: int = LARGEST_ARRAYS,
+    optional: Mapping[str, ArrayType] | None = None,
+) -> dict[str, ndarray]:
+    """Read arrays of an .npz file by name. All that are expected must exist; other arrays are not read.
 
     Args:
         expected: types by name.
+        optional: the same of arrays that a file may lack.
         largest: largest total size in bytes.
 
     Raises:
@@ -71,17 +77,24 @@ def read_npz(path: Path, expected: Mapping[str, ArrayType], largest: int = LARGE
     with open_file(path) as file:
         try:
             with zipfile.ZipFile(file) as archive:
-                return _read(archive, path, expected, largest)
+                return _read(archive, path, expected, optional or {}, largest)
         except InputError:
             raise
         except Exception as error:  # zipfile and NumPy raise many types for damaged files
             raise InputError(f"{path} is not a readable .npz file, or cut off: {_line(error)}") from None
 
 
-def _read(archive: zipfile.ZipFile, path: Path, expected: Mapping[str, ArrayType], largest: int) -> dict[str, ndarray]:
+def _read(
+    archive: zipfile.ZipFile,
+    path: Path,
+    expected: Mapping[str, ArrayType],
+    optional: Mapping[str, ArrayType],
+    largest: int,
+) -> dict[str, ndarray]:
     members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
     if absent := [name for name in expected if name not in members]:
         raise InputError(f"{path} lacks the array {absent[0]!r}")
+    expected = {**expected, **{name: kind for name, kind in optional.items() if name in members}}
     if (total := sum(members[name].file_size for name in expected)) > largest:
         raise InputError(f"{path} holds {total / 1e6:,.0f} MB: at most {largest / 1e6:,.0f} MB are read")
     sides: dict[str, int] = {}
