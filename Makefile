@@ -32,10 +32,12 @@ interop: $(VENV)/body $(VENV)/gltf $(VENV)/blender $(VENV)/opensim
 	DEPTHMOCAP_BLENDER_PYTHON=$(VENV)/blender/$(if $(filter Windows_NT,$(OS)),Scripts,bin)/python $(BIN)/python -m pytest -q \
 		tests/interop tests/exporting
 
-# Lines of the package that the fast tests do not reach; tens of minutes of one core, for one process is measured.
+# Lines of the package that the fast tests do not reach.
 coverage: $(VENV)/body
 	mkdir -p out
-	OMP_NUM_THREADS=1 $(BIN)/python -m coverage run -m pytest -q -m "not slow"
+	rm -f out/coverage*
+	OMP_NUM_THREADS=1 $(BIN)/python -m coverage run -m pytest -q -n 2 --dist loadfile -m "not slow"
+	$(BIN)/python -m coverage combine
 	$(BIN)/python -m coverage report
 
 # Minutes of one core, the first time.
