@@ -114,7 +114,7 @@ def test_a_live_result_is_brought_to_the_times_of_its_recording(
     (out / "pose.csv").write_text((out / "pose.csv").read_text().replace("1700000000", "1600000000"))
     summary = read_summary(out)
     write_summary(out, {**summary, "recorded_minus_timestamp_ns": 100_000_000 * 10**9})
-    replay(ReplaySettings(recording, out, ("ws://:0",), speed=4.0), QUIET)
+    replay(ReplaySettings(recording, out, ("ws://:0",)), QUIET)
     assert [sample.unix_ns for sample in samples] == [FIRST_NS + i * 40_000_000 for i in range(12)]
 
 
