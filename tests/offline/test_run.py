@@ -194,7 +194,7 @@ def test_signals_end_a_run_with_everything_written(recording, tmp_path, monkeypa
     assert main(["run", str(recording), "--out", str(out), "--segment", "none", "--smooth", "none"]) == 128 + number
     assert len(read_csv(out / "pose.csv")[0]) == len(read_trc(out / "pose.trc")[0]) == 2
     assert json.loads((out / "summary.json").read_text(encoding="utf-8"))["interrupted"]
-    assert {path.name for path in out.iterdir()} == {*RESULT_FILES, *PICTURE_FILES}
+    assert {path.name for path in out.iterdir()} == {*RESULT_FILES, *PICTURE_FILES, "points.csv"}
 
 
 @pytest.mark.parametrize("factor", [1e-6, 1e-8])
