@@ -103,10 +103,10 @@ def swing_features(
 def toe_off_frame(steady: SteadyJoints, side: str, speed: Float[ndarray, " t"], peak: int) -> float | None:
     """When the toe leaves before a swing (a fraction of frames); where not all joints of the leg are known, when the
     ankle has half of its peak speed. None where that is not known either. Arguments as :func:`swing_features`."""
-    found = swing_features(steady, side, speed, peak)
-    if found is None:
+    values = swing_features(steady, side, speed, peak)
+    if values is None:
         return last_crossing(speed, peak, -1, _HALF * speed[peak])
-    half, features = found
+    half, features = values
     mean, scale, coefficients = _model()
     later_s = float(design(features[None], mean, scale)[0] @ coefficients)
     return half + float(np.clip(later_s, -_FURTHEST_S, _FURTHEST_S)) / steady.frame_s
@@ -116,8 +116,8 @@ def design(
     features: Float[ndarray, "n f"], mean: Float[ndarray, " f"], scale: Float[ndarray, " f"]
 ) -> Float[ndarray, "n g"]:
     """What the regression is linear in: 1, the features, and these times the bend of the knee and times the shank's."""
-    own = np.clip((features - mean) / scale, -_MOST_DEVIATIONS, _MOST_DEVIATIONS)
-    return np.concatenate([np.ones((len(own), 1)), own, own * own[:, [_KNEE]], own * own[:, [_SHANK]]], 1)
+    z = np.clip((features - mean) / scale, -_MOST_DEVIATIONS, _MOST_DEVIATIONS)
+    return np.concatenate([np.ones((len(z), 1)), z, z * z[:, [_KNEE]], z * z[:, [_SHANK]]], 1)
 
 
 @functools.cache

@@ -351,14 +351,14 @@ def _check(settings: CalibrateSettings, rig: Rig, console: Console) -> Calibrati
     recording, sighting, lines = _look(open_recording(settings.recording, rig), settings, console)
     if settings.mend:
         rig = _mended(rig, recording.rig, sighting, lines, settings, console)
-    found = _place(recording, sighting, [], settings, console)
+    placed = _place(recording, sighting, [], settings, console)
     # Intrinsics and what mends pictures are the rig's already, and so is what moves timestamps.
-    check = check_rig(rig, found.rig, found.pairs, found.trajectory, found.unplaced, found.warnings)
-    found = dataclasses.replace(found, check=check)
+    check = check_rig(rig, placed.rig, placed.pairs, placed.trajectory, placed.unplaced, placed.warnings)
+    placed = dataclasses.replace(placed, check=check)
     if settings.json is not None:
-        write_json(settings.json, {**_as_json(found), "check": dataclasses.asdict(check)})
+        write_json(settings.json, {**_as_json(placed), "check": dataclasses.asdict(check)})
     tell_check(check, console)
-    return found
+    return placed
 
 
 def _mended(

@@ -80,9 +80,9 @@ def place_anew(
     if not shared:
         raise InputError(f"camera {name!r} cannot be placed anew: it and others have not seen a person; {advice}")
     times_s = np.array([time_s for time_s, _ in shared])
-    own = np.stack([seen[name] for _, seen in shared])
+    seen_m = np.stack([seen[name] for _, seen in shared])
     world, sigma_m = _by_others(name, cameras, shared)
-    pair = estimate_pair((world, own[..., :3]), (sigma_m, own[..., 3]), rng)
+    pair = estimate_pair((world, seen_m[..., :3]), (sigma_m, seen_m[..., 3]), rng)
     if pair is None or not is_reliable(pair):
         lack = "it shares no poses with others" if pair is None else why_unreliable(pair)
         raise InputError(f"camera {name!r} cannot be placed anew: {lack}; {advice}")
@@ -90,7 +90,9 @@ def place_anew(
     if np.sqrt(hips.var(0).sum()) < NARROW_M:
         raise InputError(f"camera {name!r} cannot be placed anew: the person stays in one place; {advice}")
     person = np.median(hips, axis=0)
-    metres, degrees = _uncertainty(pair.a_from_b, times_s, (world, own[..., :3]), (sigma_m, own[..., 3]), person, rng)
+    metres, degrees = _uncertainty(
+        pair.a_from_b, times_s, (world, seen_m[..., :3]), (sigma_m, seen_m[..., 3]), person, rng
+    )
     if metres > _MOST_M or degrees > _MOST_DEG:
         raise InputError(
             f"camera {name!r} cannot be placed anew: it would be known to {100 * metres:.0f} cm and {degrees:.1f}° "

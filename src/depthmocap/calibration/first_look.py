@@ -121,9 +121,9 @@ class _Sight:
 
 
 def _track(seen: Sequence[tuple[View, Bool[ndarray, "h w"]]], classifier: Classifier, quarters: int) -> JointTrack:
-    found = [joints_in(view, mask, classifier, quarters) for view, mask in seen]
-    found = [joints for joints in found if np.isfinite(joints).all()]
-    joints = np.stack(found) if found else np.empty((0, 18, 4))
+    poses = [joints_in(view, mask, classifier, quarters) for view, mask in seen]
+    poses = [joints for joints in poses if np.isfinite(joints).all()]
+    joints = np.stack(poses) if poses else np.empty((0, 18, 4))
     return JointTrack(np.arange(float(len(joints))), joints[..., :3], joints[..., 3])
 
 

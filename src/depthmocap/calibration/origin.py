@@ -88,8 +88,8 @@ def find_lab(origin: str, person: JointTrack, rig: Rig, rng: np.random.Generator
         return by_walk(person)
     path = Path(origin)
     if path.suffix.lower() == ".c3d":
-        found = find_c3d(path, person, rng)
-        return LabFrame(found.lab_from_world, found.up, [str(found)])
+        motion = find_c3d(path, person, rng)
+        return LabFrame(motion.lab_from_world, motion.up, [str(motion)])
     return by_points(path, person, rig)
 
 
@@ -171,10 +171,10 @@ def by_points(path: Path, person: JointTrack, rig: Rig) -> LabFrame:
     lab_from_world[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     lab_from_world[:2, 3] = in_lab.mean(0) - lab_from_world[:2, :2] @ in_world.mean(0)
     off_m = np.linalg.norm(in_world @ lab_from_world[:2, :2].T + lab_from_world[:2, 3] - in_lab, axis=1)
-    told = ", ".join(f"{name} {100 * metres:.1f} cm" for name, metres in zip(names, off_m.tolist(), strict=True))
+    errors = ", ".join(f"{name} {100 * metres:.1f} cm" for name, metres in zip(names, off_m.tolist(), strict=True))
     if off_m.max() > _MOST_OFF_M:
-        raise InputError(f"{path}: the points do not fit each other (exchanged, mirrored?): they are off by {told}")
-    return LabFrame(lab_from_world, "z", [f"The lab's axes are by points of the floor, which are off by {told}."])
+        raise InputError(f"{path}: the points do not fit each other (exchanged, mirrored?): they are off by {errors}")
+    return LabFrame(lab_from_world, "z", [f"The lab's axes are by points of the floor, which are off by {errors}."])
 
 
 def _name(entry: Any, index: int) -> str:

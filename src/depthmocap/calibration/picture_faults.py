@@ -144,8 +144,8 @@ def compare_pair(camera_b: DepthCamera, a: JointTrack, b: JointTrack, rng: np.ra
     fit, other = fits[best], fits[1 - best]
     if not fit.reliable:
         return PairScale(None, None)
-    told = other.score < _WORSE * fit.score
-    return PairScale(fit.scale * chain_a / chain_b, bool(best) if told else None)
+    certain = other.score < _WORSE * fit.score
+    return PairScale(fit.scale * chain_a / chain_b, bool(best) if certain else None)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -276,11 +276,11 @@ def _either(names: Sequence[str], statures: Sequence[float], pair: tuple[int, in
 
 def _mirror_faults(cameras: Sequence[DepthCamera], pairs: dict[tuple[int, int], PairScale]) -> list[PictureFault]:
     names = [camera.name for camera in cameras]
-    told = {pair: fit.mirrored for pair, fit in pairs.items() if fit.mirrored is not None}
-    wrong = {pair for pair, is_mirrored in told.items() if is_mirrored}
+    mirrored = {pair: fit.mirrored for pair, fit in pairs.items() if fit.mirrored is not None}
+    wrong = {pair for pair, is_mirrored in mirrored.items() if is_mirrored}
     if not wrong:
         return []
-    group = largest_group(range(len(cameras)), set(told) - wrong)
+    group = largest_group(range(len(cameras)), set(mirrored) - wrong)
     blamed = sorted({i for pair in wrong for i in pair} - set(group)) if len(group) > 1 else []
     how = '"mirrored": true in rig.json exchanges left and right'
     faults = [
@@ -289,7 +289,7 @@ def _mirror_faults(cameras: Sequence[DepthCamera], pairs: dict[tuple[int, int], 
             f"the picture of camera {names[i]!r} is mirrored against {_who(names, group)}: {how}",
         )
         for i in blamed
-        if all((min(i, j), max(i, j)) not in told or (min(i, j), max(i, j)) in wrong for j in group)
+        if all((min(i, j), max(i, j)) not in mirrored or (min(i, j), max(i, j)) in wrong for j in group)
     ]  # fmt: skip
     if not faults and len(cameras) == 2:
         text = f"the picture of either camera {names[0]!r} or camera {names[1]!r} is mirrored: {how} of the one that is"

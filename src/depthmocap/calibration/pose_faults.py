@@ -218,7 +218,7 @@ class _Judge:
 
     def ways(self, camera: int, others: Sequence[int]) -> list[tuple[str, ndarray]]:
         """The ways of reading a camera's pose by which it fits the others."""
-        found = []
+        faults = []
         for kind, pose in self.readings(camera):
             apart = [
                 self.apart_m(camera, other, pose, self.poses[other])
@@ -226,8 +226,8 @@ class _Judge:
                 if (min(camera, other), max(camera, other)) in self.pairs
             ]
             if apart and max(apart) < FITS_M and self.stands(camera, pose):
-                found.append((kind, pose))
-        return found
+                faults.append((kind, pose))
+        return faults
 
     def fault_of(self, camera: int, group: Sequence[int]) -> PoseFault | None:
         """The fault of a camera that does not fit those that fit each other."""
@@ -312,9 +312,11 @@ class _Judge:
             text = f"{names} do not see the person in one place: one stands elsewhere than the rig says: {_CALIBRATE}"
             return [PoseFault("elsewhere", tuple(self.names), text, {}, certain=False)]
         words = ", or ".join(_words(*option) for option in options)
-        told = tuple(name for name, _, _ in options)
+        option_names = tuple(name for name, _, _ in options)
         poses = {name: pose for name, kind, pose in options if kind != TURNED_PICTURE}
-        return [PoseFault(options[0][1], told, f"{names} do not fit: {words}", poses, certain=len(options) == 1)]
+        return [
+            PoseFault(options[0][1], option_names, f"{names} do not fit: {words}", poses, certain=len(options) == 1)
+        ]
 
     def tilted(self, group: Sequence[int]) -> list[PoseFault]:
         """What is wrong with cameras that fit each other, or that are alone, if the person does not stand upright."""
@@ -337,16 +339,16 @@ class _Judge:
         name, pose = self.names[camera], self.poses[camera]
         if np.array_equal(pose, np.eye(4)):
             return []
-        found = []
+        faults = []
         for kind, reading in self.readings(camera):
             tilt = self.tilt_deg(camera, reading)
             if tilt is not None and tilt < UPRIGHT_DEG and self.on_floor(camera, reading):
-                found.append((kind, reading))
+                faults.append((kind, reading))
         ups = [up for up in ("z", "y", "-y") if up != self.up_name and self.with_up(up).stands(camera, pose)]
-        words = [_words(name, kind, reading) for kind, reading in found]
+        words = [_words(name, kind, reading) for kind, reading in faults]
         words += [f'"up": "{up}" would be right' for up in ups]
         lying = f"camera {name!r} sees a person who walks lying or upside down in the rig's world"
-        kind, poses = (found[0][0], {name: found[0][1]}) if len(found) == 1 and not ups else ("elsewhere", {})
+        kind, poses = (faults[0][0], {name: faults[0][1]}) if len(faults) == 1 and not ups else ("elsewhere", {})
         return [PoseFault(kind, (name,), f"{lying}: {', or '.join(words) or _CALIBRATE}", poses)]
 
     def on_floor(self, camera: int, pose: Float[ndarray, "4 4"]) -> bool:

@@ -106,10 +106,10 @@ def check_rig(
 
 def _check_pair(rig: Rig, found: Rig, pair: PairVerdict, person: Float[ndarray, "3"]) -> PairCheck:
     a, b = pair.cameras
-    told = rig[b].camera_from_world @ rig[a].world_from_camera
+    of_rig = rig[b].camera_from_world @ rig[a].world_from_camera
     is_now = found[b].camera_from_world @ found[a].world_from_camera
     at = transform_points(rigid_inverse(is_now) @ found[b].camera_from_world, person)
-    cm, degrees = moved(told, is_now, transform_points(told, at))
+    cm, degrees = moved(of_rig, is_now, transform_points(of_rig, at))
     return PairCheck(pair.cameras, cm, degrees, pair.uncertainty_mm / 10, pair.uncertainty_deg, pair.time_told)
 
 

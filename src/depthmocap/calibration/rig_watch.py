@@ -113,8 +113,8 @@ class RigWatch:
         seen = {}
         for camera, joints in zip(cloud.cameras, cloud.joints, strict=False):
             if joints is not None and np.isfinite(joints).all():
-                own = np.concatenate([transform_points(camera.camera_from_world, joints[:, :3]), joints[:, 3:]], 1)
-                seen[camera.name] = (own + own[MIRROR]) / 2
+                local = np.concatenate([transform_points(camera.camera_from_world, joints[:, :3]), joints[:, 3:]], 1)
+                seen[camera.name] = (local + local[MIRROR]) / 2
                 self._cameras[camera.name] = camera
         self._joints.append((now_s, seen))
         if not seen:

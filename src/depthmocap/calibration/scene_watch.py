@@ -95,7 +95,7 @@ class SceneWatch:
             return None
         known = (before > 0).sum(0) >= 0.75 * len(before)
         was_m = _median(list(before))
-        wavered_m = _median([np.where(each > 0, np.abs(each - was_m) + 1e-6, 0) for each in before])
+        wavered_m = _median([np.where(window_m > 0, np.abs(window_m - was_m) + 1e-6, 0) for window_m in before])
         known &= was_m > self._farthest_m - _CAME_M
         still = known & (was_m > 0) & (wavered_m < _STILL_M + _STILL_PER_M2 * was_m**2)
         shares = []

@@ -106,13 +106,13 @@ def see_person(
     tracks = [
         scaled(observation.track, 1 / looks[name].factor) for name, observation in zip(names, observations, strict=True)
     ]
-    told = [
+    stated = [
         dataclasses.replace(camera, depth_factor=camera.depth_factor / looks[camera.name].factor)
         for camera in recording.rig.cameras
     ]
     with console.status("comparing the cameras"):
-        faults = find_picture_faults(told, tracks, rng)
-        faults += find_turned_pictures(told, tracks, faults, rng)
+        faults = find_picture_faults(stated, tracks, rng)
+        faults += find_turned_pictures(stated, tracks, faults, rng)
     told_of = {name for fault in faults if fault.kind == "unit" for name in fault.cameras}
     faults += [
         PictureFault(

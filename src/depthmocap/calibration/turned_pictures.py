@@ -54,12 +54,12 @@ def find_turned_pictures(
         i for i, (camera, track) in enumerate(zip(cameras, tracks, strict=True))
         if camera.name not in wrong and len(track.times_s) > 1 and chain_m(track) > 0
     ]  # fmt: skip
-    told = {i: of_adult(tracks[i]) for i in tried}
-    turned = {i: as_turned(cameras[i], told[i]) for i in tried}
+    adults = {i: of_adult(tracks[i]) for i in tried}
+    turned = {i: as_turned(cameras[i], adults[i]) for i in tried}
     ratios: dict[int, list[float]] = {i: [] for i in tried}
     of_both: list[float] = []
     for a, b in itertools.combinations(tried, 2):
-        pairs = (told[a], told[b]), (turned[a], told[b]), (told[a], turned[b]), (turned[a], turned[b])
+        pairs = (adults[a], adults[b]), (turned[a], adults[b]), (adults[a], turned[b]), (turned[a], turned[b])
         is_now, *others = (fit_similarity(*pair, rng) for pair in pairs)
         if not is_now.score > 0 or not any(fit.reliable for fit in (is_now, *others)):
             continue

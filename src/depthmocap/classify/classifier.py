@@ -248,7 +248,7 @@ class Classifier:
             for place, prediction in zip(places, self._label_windows(windows), strict=True):
                 found[place] = prediction
 
-        for _ in self._pool.map(label, _by_twos([each.window for each in shown])):
+        for _ in self._pool.map(label, _by_twos([item.window for item in shown])):
             pass
         return list(self._pool.map(self._prediction, shown, found))
 

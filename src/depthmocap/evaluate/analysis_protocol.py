@@ -88,8 +88,8 @@ def evaluate_analysis(settings: AnalysisEvaluation, console: Console | None = No
             continue
         movements = [_found_movement(sequence.poses(views), settings) for sequence in sequences]
         errors: dict[str, dict[str, list[float]]] = {}
-        for scene, truth, found in zip(scenes, truths, movements, strict=True):
-            for quantity, values in _errors(truth, found).items():
+        for scene, truth, estimate in zip(scenes, truths, movements, strict=True):
+            for quantity, values in _errors(truth, estimate).items():
                 for kind in ("all", scene.kind):
                     errors.setdefault(kind, {}).setdefault(quantity, []).extend(values)
         rows = {kind: {name: _summary(values) for name, values in by.items()} for kind, by in errors.items()}

@@ -48,10 +48,10 @@ class SequenceEstimates:
         poses = [Pose(*row) for row in zip(self.timestamps_ns.tolist(), joints, confidence, strict=True)]
         if self.points is None or self.points_confidence is None:
             return poses
-        told = zip(self.points[views - 1], self.points_confidence[views - 1], strict=True)
+        rows = zip(self.points[views - 1], self.points_confidence[views - 1], strict=True)
         return [
             dataclasses.replace(pose, points=points, points_confidence=sure)
-            for pose, (points, sure) in zip(poses, told, strict=True)
+            for pose, (points, sure) in zip(poses, rows, strict=True)
         ]
 
 
@@ -66,11 +66,11 @@ def estimate_sequence(
         stamps.append(frame.timestamp_ns)
         truths.append(frame.true_joints)
         estimates.append([estimate_pose(estimator, cloud, "z", frame.timestamp_ns) for cloud in clouds])
-    told = ("joints", "confidence")
+    names = ("joints", "confidence")
     if estimates and estimates[0][0].points is not None:
-        told += ("points", "points_confidence")
+        names += ("points", "points_confidence")
     arrays = {
-        key: np.stack([np.stack([getattr(pose, key) for pose in poses]) for poses in estimates], 1) for key in told
+        key: np.stack([np.stack([getattr(pose, key) for pose in poses]) for poses in estimates], 1) for key in names
     }
     return SequenceEstimates(name, np.array(stamps), np.stack(truths), **arrays)
 

@@ -136,10 +136,10 @@ class ScenarioScene:
             ]
             things, cover = self._things(i), self._cover(posed)
             views, masks = [], []
-            for told, camera, preset, room_m in zip(self.rig.cameras, cameras, self._presets, rooms, strict=True):
+            for of_rig, camera, preset, room_m in zip(self.rig.cameras, cameras, self._presets, rooms, strict=True):
                 depth_m, material, person_at = _drawn(camera, room_m, things, posed, cover)
                 read_m = sense(depth_m, material, camera, preset.model, rng)
-                views.append(View(told, read_m))
+                views.append(View(of_rig, read_m))
                 masks.append([(person_at == k + 1) & (read_m > 0) for k in range(self.count)])
             joints = tuple(
                 self._told(person.joints, cameras)

@@ -117,10 +117,10 @@ def _landmark_errors(pairs: Sequence[tuple[SkeletonTrack, SkeletonTrack]]) -> di
         return {}
     errors = np.concatenate(apart)
     tips = np.array([landmark.name.endswith("Tip") for landmark in LANDMARKS])
-    bones = [f".{each.bone[1:]}" if each.bone[0] in "RL" else each.bone for each in LANDMARKS]
+    bones = [f".{point.bone[1:]}" if point.bone[0] in "RL" else point.bone for point in LANDMARKS]
     numbers = {"landmarks_cm": 100 * _mean(errors)}
-    for group, own in LANDMARK_GROUPS.items():
-        among = np.array([bone in own for bone in bones]) & ~tips if own else tips
+    for group, names in LANDMARK_GROUPS.items():
+        among = np.array([bone in names for bone in bones]) & ~tips if names else tips
         numbers[f"landmarks_{group}_cm"] = 100 * _mean(errors[:, among])
     return numbers
 

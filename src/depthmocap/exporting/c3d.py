@@ -58,7 +58,7 @@ def write_c3d(path: Path, take: ExportedTake, settings: FileSettings) -> None:
     parts = []
     for motion, confidence in zip(motions, confidences, strict=True):
         parts += [_points(motion, confidence)] + [_landmarks(motion, confidence)] * settings.landmarks
-    points, residuals = (np.concatenate(each, axis=1) for each in zip(*parts, strict=True))
+    points, residuals = (np.concatenate(arrays, axis=1) for arrays in zip(*parts, strict=True))
     names = [take.name(person) for person in take.people]
 
     def labels(of_person: tuple[str, ...]) -> list[str]:

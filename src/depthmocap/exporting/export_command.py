@@ -110,9 +110,9 @@ def write_formats(result: StoredResult, settings: FileSettings, formats: Sequenc
             if take.several:
                 make_inner_folder(folder)
             paths.append(folder / file_name)
-            found = file_format.write(paths[-1], take.of(person), settings)
-            if found is not None:
-                told[person.number][name] = found
+            lines = file_format.write(paths[-1], take.of(person), settings)
+            if lines is not None:
+                told[person.number][name] = lines
     document = {
         "schema": SCHEMA,
         "version": __version__,

@@ -187,9 +187,9 @@ def reach_ankles(
     for vector in (knee - hip, ankle - hip, target - hip):
         known &= np.linalg.norm(vector, axis=-1, keepdims=True) > _STRAIGHT_M  # False for NaN
     thigh, shin, before, way = (
-        np.where(known, each, [0.0, -1.0, 0.0]) for each in (knee - hip, ankle - knee, ankle - hip, target - hip)
+        np.where(known, limb, [0.0, -1.0, 0.0]) for limb in (knee - hip, ankle - knee, ankle - hip, target - hip)
     )
-    a, b = (np.linalg.norm(each, axis=-1, keepdims=True) for each in (thigh, shin))
+    a, b = (np.linalg.norm(bone, axis=-1, keepdims=True) for bone in (thigh, shin))
     length = np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
     along = way / length
     # The way from the hip to the ankle takes the knee along as it turns.

@@ -61,7 +61,7 @@ def within_limits(bones: Int[ndarray, " k"], local: Float[ndarray, "t k 3 3"]) -
     if not len(which[0]):
         return local
     result, numbers = local.copy(), bones[which[1]]
-    twist, _, bend = (each[which] for each in _angles(bones, local))
+    twist, _, bend = (angles[which] for angles in _angles(bones, local))
     about = Rotation.from_rotvec(twist[:, None] * _AXES[numbers])
     kept = Rotation.from_rotvec(np.clip(twist, -_TWIST[numbers], _TWIST[numbers])[:, None] * _AXES[numbers])
     swings = (Rotation.from_matrix(local[which]) * about.inv()).as_rotvec()

@@ -58,10 +58,10 @@ def write_mot(path: Path, take: ExportedTake, settings: FileSettings) -> dict[st
     motion = solve_body(line, settings.fill_s)
     marker_names, points, weights = JOINTS, motion.joints, person.table.confidence
     if settings.landmarks:
-        own = 1 / (1 + (LandmarkModel.load().errors_m(motion.offsets) / _HALF_M) ** 2)
+        certainties = 1 / (1 + (LandmarkModel.load().errors_m(motion.offsets) / _HALF_M) ** 2)
         marker_names += LANDMARK_NAMES
         points = np.concatenate([points, landmark_positions(motion)], 1)
-        weights = np.concatenate([weights, landmark_confidence(weights) * own], 1)
+        weights = np.concatenate([weights, landmark_confidence(weights) * certainties], 1)
     seen = np.asarray(~np.isnan(points).any(-1))
     weights = np.maximum(weights, _LEAST_WEIGHT)
     opensim.Logger.setLevelString("Error")
@@ -122,10 +122,10 @@ def _solve(
             solver.updateMarkerWeight(name, float(weights[i, number]))
         solver.track(state)
         rows.append([each.getValue(state) * scale for each, scale in zip(coordinates, scales, strict=True)])
-        found = opensim.SimTKArrayDouble()
-        solver.computeCurrentMarkerErrors(found)
-        own = np.array([found.getElt(k) for k in range(len(names))])
-        errors.append(np.where(seen[i, order], own, np.nan))
+        squares = opensim.SimTKArrayDouble()
+        solver.computeCurrentMarkerErrors(squares)
+        values = np.array([squares.getElt(k) for k in range(len(names))])
+        errors.append(np.where(seen[i, order], values, np.nan))
     return [times_s[i] for i in frames], np.array(rows), np.array(errors), names
 
 

@@ -144,7 +144,7 @@ def _length(offsets: Float[ndarray, "18 3"], joint: ModelJoint) -> float:
 
 def _place(offsets: Float[ndarray, "18 3"], joint: ModelJoint) -> Float[ndarray, "3"]:
     """Where a body's joint is on its parent: limbs hang straight down at rest."""
-    parent = next(each for each in MODEL if each.body == joint.parent)
+    parent = next(candidate for candidate in MODEL if candidate.body == joint.parent)
     if _hangs(parent):
         return np.array([0.0, -_length(offsets, parent), 0.0])
     return _position(offsets, joint.at, parent.at)
@@ -152,16 +152,16 @@ def _place(offsets: Float[ndarray, "18 3"], joint: ModelJoint) -> Float[ndarray,
 
 def _markers(offsets: Float[ndarray, "18 3"], joint: ModelJoint) -> dict[str, Float[ndarray, "3"]]:
     """The markers of a body: where its joint is, what belongs to it, and what is at its end where no body goes on."""
-    found = {joint.at: np.zeros(3)}
-    found |= {name: _position(offsets, name, joint.at) for name in joint.markers}
+    places = {joint.at: np.zeros(3)}
+    places |= {name: _position(offsets, name, joint.at) for name in joint.markers}
     if joint.body == "head":
-        found["Head"] = _position(offsets, "Head", "Neck")
-    return found
+        places["Head"] = _position(offsets, "Head", "Neck")
+    return places
 
 
 def _landmarks(offsets: Float[ndarray, "18 3"], joint: ModelJoint) -> dict[str, Float[ndarray, "3"]]:
     """The surface landmarks of a body."""
-    found = {}
+    places = {}
     for landmark, offset in zip(LANDMARKS, LandmarkModel.load().offsets_m(offsets), strict=True):
         if _body_of(landmark.bone) != joint.body:
             continue
@@ -170,8 +170,8 @@ def _landmarks(offsets: Float[ndarray, "18 3"], joint: ModelJoint) -> dict[str, 
         if joint.body[:-2] in ("humerus", "radius", "hand"):  # an arm that is out to the side comes to hang
             side = 1 if joint.body.endswith("r") else -1
             place = np.array([place[0], -side * place[2], side * place[1]])
-        found[landmark.name] = place
-    return found
+        places[landmark.name] = place
+    return places
 
 
 def _body_of(bone: str) -> str:
@@ -258,8 +258,13 @@ def _joint(parent: Xml.Element, joint: ModelJoint, place: Float[ndarray, "3"], l
     for role, name in zip(("parent", "child"), frames, strict=True):
         _text(element, f"socket_{role}_frame", name)
     coordinates = Xml.SubElement(element, "coordinates")
-    for each in joint.coordinates:
-        _coordinate(coordinates, each.name, np.radians([each.low, each.high]), each.by_landmarks and not landmarks)
+    for coordinate in joint.coordinates:
+        _coordinate(
+            coordinates,
+            coordinate.name,
+            np.radians([coordinate.low, coordinate.high]),
+            coordinate.by_landmarks and not landmarks,
+        )
     free = joint.parent == "ground"
     for name in PLACES if free else ():
         _coordinate(coordinates, name, np.array([-1e3, 1e3]), False)
@@ -270,9 +275,9 @@ def _joint(parent: Xml.Element, joint: ModelJoint, place: Float[ndarray, "3"], l
         _text(frame, "translation", _numbers(translation))
         _text(frame, "orientation", "0 0 0")
     transform = Xml.SubElement(element, "SpatialTransform")
-    axes = [each.axis for each in joint.coordinates]
+    axes = [coordinate.axis for coordinate in joint.coordinates]
     # Axes that nothing turns about must be independent of the others.
-    axes += [axis for axis in (_X, _Y, _Z) if axis not in [tuple(map(abs, each)) for each in axes]]
+    axes += [axis for axis in (_X, _Y, _Z) if axis not in [tuple(map(abs, taken)) for taken in axes]]
     for i, axis in enumerate(axes[:3]):
         turned = joint.coordinates[i].name if i < len(joint.coordinates) else None
         _axis(transform, f"rotation{i + 1}", turned, axis)

@@ -43,5 +43,5 @@ def landmark_errors_m(
 ) -> Float[ndarray, "t m"]:
     """Expected distance of landmarks from the truth (m): of joints of such a confidence, and their own, as the root of
     the sum of squares."""
-    own = (model or LandmarkModel.load()).errors_m(offsets)
-    return np.hypot(expected_error_m(landmark_confidence(confidence)), own)
+    errors_m = (model or LandmarkModel.load()).errors_m(offsets)
+    return np.hypot(expected_error_m(landmark_confidence(confidence)), errors_m)

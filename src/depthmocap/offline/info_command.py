@@ -63,16 +63,16 @@ def info(settings: InfoSettings, console: Console | None = None) -> dict[str, An
         from depthmocap.calibration.recording_check import MOST_SETS, check_recording  # which takes a while to load
 
         with networks_on(settings.device) as devices:
-            found = check_recording(recording, console)
+            problems = check_recording(recording, console)
         for line in devices.lines():
             console.print(f"• {line}")
-        summary["check"] = dataclasses.asdict(found)
-        seen = ", ".join(f"{name!r} in {seen} of {frames}" for name, (seen, frames) in found.frames.items())
+        summary["check"] = dataclasses.asdict(problems)
+        seen = ", ".join(f"{name!r} in {seen} of {frames}" for name, (seen, frames) in problems.frames.items())
         console.print(f"checked in up to {MOST_SETS} frames of each camera; people are found by {seen}")
-        for line in found.faults:
+        for line in problems.faults:
             console.print(f"wrong: {line}")
-        if not found.faults:
+        if not problems.faults:
             console.print("nothing wrong is found with depth units, pictures and poses")
-        for line in found.unknown:
+        for line in problems.unknown:
             console.print(f"not known: {line}")
     return summary

@@ -78,7 +78,7 @@ def merge_agreeing_views(parts: Sequence[LabelledView]) -> LabelledCloud:
         sizes.append(row - start)
     cameras, joints = tuple(part.view.camera for part in parts), tuple(part.joints for part in parts)
     odds = [part.front_log_odds for part, size in zip(parts, sizes, strict=True) if size]
-    known = [each for each in odds if np.isfinite(each)]
+    known = [value for value in odds if np.isfinite(value)]
     return LabelledCloud(
         points_world[:row], all_labels[:row], all_weights[:row], tuple(sizes), cameras, joints,
         float(sum(known)) if known else float("nan"),

@@ -46,14 +46,14 @@ class FrontMemory:
         they are.
         """
         parts = undo_mirrored(parts)
-        told = [i for i, part in enumerate(parts) if np.isfinite(part.front_log_odds)]
+        facing = [i for i, part in enumerate(parts) if np.isfinite(part.front_log_odds)]
         front = _front(parts)
-        if front is None or not told:
+        if front is None or not facing:
             return parts
         elapsed_s = (timestamp_ns - self._now_ns) / 1e9
         if self._front is None or not self.knows(timestamp_ns):
             self._front, self._log_odds, elapsed_s = front, 0.0, _FIRST_S
-        evidence = float(sum(parts[i].front_log_odds for i in told))
+        evidence = float(sum(parts[i].front_log_odds for i in facing))
         # Who turned by less than 60° since faces the same way; who is seen at right angles to it, either way.
         before = self._log_odds * float(np.clip(2 * front @ self._front, -1, 1))
         if evidence + _WEIGHT * before < 0:
@@ -62,8 +62,8 @@ class FrontMemory:
         share = 1 - np.exp(-elapsed_s / _MEMORY_S)
         self._log_odds = before + share * (evidence - before)
         self._front, self._now_ns = front, timestamp_ns
-        for i in told:
-            parts[i] = parts[i]._replace(front_log_odds=parts[i].front_log_odds + _WEIGHT * before / len(told))
+        for i in facing:
+            parts[i] = parts[i]._replace(front_log_odds=parts[i].front_log_odds + _WEIGHT * before / len(facing))
         return parts
 
 

@@ -101,8 +101,8 @@ def voting_session(source: Path) -> onnxruntime.InferenceSession:
     """
     session = open_network(source, "give the votes.onnx of a training run")
     names = [node.name for node in session.get_inputs()], [node.name for node in session.get_outputs()]
-    told = ["joints", "sure", "points", "points_sure"]
-    if names[0] != ["parts"] or names[1] not in (told[:2], told):
+    outputs = ["joints", "sure", "points", "points_sure"]
+    if names[0] != ["parts"] or names[1] not in (outputs[:2], outputs):
         raise InputError(f"{source} is not a voting network: its inputs and outputs are {names}")
     shape = session.get_inputs()[0].shape
     if (parts := shape[2] if len(shape) > 2 else 0) != PART_COUNT:

@@ -141,9 +141,11 @@ class LiveControls:
 
     def learn_background(self) -> None:
         """Learn the empty scene anew; people are looked for anew, too, and their numbers begin at 1."""
-        own, rig = self._settings, self._capture.rig
-        with networks_on(own.device):
-            segmenter = load_segmenter(BackgroundSource(rig, {}), own.segment, self.people, own.choice_in(rig.area_m))
+        chosen, rig = self._settings, self._capture.rig
+        with networks_on(chosen.device):
+            segmenter = load_segmenter(
+                BackgroundSource(rig, {}), chosen.segment, self.people, chosen.choice_in(rig.area_m)
+            )
 
         def change(pipeline: Pipeline) -> None:
             segmenter.people = self.people
@@ -163,15 +165,15 @@ class LiveControls:
         Raises:
             InputError: when it cannot be told where the camera stands, or the file cannot be written.
         """
-        found = self._capture.find_place(name)
+        placed = self._capture.find_place(name)
         rig = self._capture.rig
-        cameras = (found.camera if camera.name == name else camera for camera in rig.cameras)
+        cameras = (placed.camera if camera.name == name else camera for camera in rig.cameras)
         path = _beside(self._rig_file)
         save_rig(dataclasses.replace(rig, cameras=tuple(cameras)), path)
-        self._capture.place(found.camera)
+        self._capture.place(placed.camera)
         self.learn_background()
         recorded = "" if self.recording is None else f"; {self.recording} keeps the old pose: run it with --rig {path}"
-        return f"{found}; written to {path}{recorded}"
+        return f"{placed}; written to {path}{recorded}"
 
     def mark(self, text: str, timestamp_ns: int | None = None) -> None:
         """Set a marker, which goes to the streams and into the result.

@@ -162,7 +162,7 @@ def _shift_ns(recording: Recording, result: StoredResult) -> int:
     live_ns = result.summary["recorded_minus_timestamp_ns"] if result.summary else None
     for shift_ns in (0, live_ns or 0):
         times_ns = [person.table.stamps_ns + shift_ns for person in result.people]
-        if any(((each >= stamps[0]) & (each <= stamps[-1])).any() for each in times_ns):
+        if any(((times >= stamps[0]) & (times <= stamps[-1])).any() for times in times_ns):
             return shift_ns
     raise InputError(f"none of the times in {result.folder} are within the recording: it is of another one")
 

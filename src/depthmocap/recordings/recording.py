@@ -60,7 +60,7 @@ class TurnedPicturesError(InputError):
             f"{left.cy:g} would be right if anticlockwise, cx {right.cx:g}, cy {right.cy:g} if clockwise (calibrate "
             "--mend tells which)"
         )
-        cameras = (left if each.name == name else each for each in rig.cameras)
+        cameras = (left if of_rig.name == name else of_rig for of_rig in rig.cameras)
         self.camera, self.rig = name, dataclasses.replace(rig, cameras=tuple(cameras))
 
 

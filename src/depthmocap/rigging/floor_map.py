@@ -67,7 +67,7 @@ class FloorMap:
 def draw_map(calibration: Calibration, observations: Sequence[Observation]) -> FloorMap:
     """The map by the cameras that are placed so far."""
     rig = calibration.rig
-    of_camera = {each.camera.name: each for each in observations}
+    of_camera = {observation.camera.name: observation for observation in observations}
     paths = {camera.name: _path_m(camera, of_camera[camera.name]) for camera in rig.cameras}
     places = {camera.name: camera.world_from_camera[:2, 3] for camera in rig.cameras}
     everything = np.concatenate([np.stack(list(places.values())), *paths.values()])

@@ -29,7 +29,7 @@ _LEAST_DEPTH = 0.05
 
 def connection_faults(connected: Sequence[ConnectedCamera], failures: Mapping[str, str]) -> list[str]:
     """What the search for connected cameras tells: USB, permissions, an SDK that is missing."""
-    lines = [f"{each.spec}: {each.problem}" for each in connected if each.problem]
+    lines = [f"{camera.spec}: {camera.problem}" for camera in connected if camera.problem]
     return [*lines, *(f"{kind}: {reason}" for kind, reason in failures.items())]
 
 

@@ -51,7 +51,7 @@ class _EmptyScene:
         if len(self._samples) < FEWEST_SAMPLES or self._frames < GROWTH * self._estimated:
             return None
         self._estimated = self._frames
-        return estimate_background([self._camera.to_metres(each) for each in self._samples])
+        return estimate_background([self._camera.to_metres(sample) for sample in self._samples])
 
 
 class WalkObserver:

@@ -38,7 +38,7 @@ CERTAIN = MixUp()
 def find_mix_ups(tracks: Sequence[PersonTrack]) -> dict[int, MixUp]:
     """By number: who may be mistaken for whom in this set."""
     people = [track for track in tracks if track.number]
-    found = {track.number: MixUp(track.perhaps) for track in people if track.perhaps}
+    mix_ups = {track.number: MixUp(track.perhaps) for track in people if track.perhaps}
     for one, other in itertools.combinations(people, 2):
         if not (one.area_m2 or other.area_m2):
             continue
@@ -48,6 +48,6 @@ def find_mix_ups(tracks: Sequence[PersonTrack]) -> dict[int, MixUp]:
             doubt = EVEN if distance_m < HIDDEN_M else 0.0
         if doubt:
             for this, that in ((one, other), (other, one)):
-                before = found.get(this.number, CERTAIN)
-                found[this.number] = MixUp((*before.others, that.number), max(before.doubt, doubt))
-    return found
+                before = mix_ups.get(this.number, CERTAIN)
+                mix_ups[this.number] = MixUp((*before.others, that.number), max(before.doubt, doubt))
+    return mix_ups

@@ -23,10 +23,10 @@ _APART_NS = 100_000_000
 def people_at_once(views: tuple[View, ...], detector: PeopleDetector, people: int = 1) -> tuple[PersonMasks, ...]:
     """The people, at most so many, whom the network finds in one set of views by itself, without an empty scene."""
     segmenter = NetworkSegmenter({}, people=people, background=False, detector=detector)
-    found: tuple[PersonMasks, ...] = ()
+    persons: tuple[PersonMasks, ...] = ()
     for i in range(_TIMES):
-        found = segmenter(FrameSet(i * _APART_NS, views))
-    return found
+        persons = segmenter(FrameSet(i * _APART_NS, views))
+    return persons
 
 
 class PersonByNetwork(PersonSegmenter):

@@ -268,15 +268,15 @@ def measure_statures(
         wait_s = STATURE.every_s if len(track.statures_m) < STATURE.enough else STATURE.again_s
         if now_s - track.measured_s < wait_s or not track.area_m2:
             continue
-        own = np.flatnonzero(labels == track.label)
-        if len(own) < STATURE.least_points:
+        samples = np.flatnonzero(labels == track.label)
+        if len(samples) < STATURE.least_points:
             continue
-        heights = votes.points[own] @ up - floor_m
+        heights = votes.points[samples] @ up - floor_m
         sample = np.argpartition(heights, -3)[-3]
         top_m = float(heights[sample])
         middle_m = float(track.centre_m @ up) - floor_m
         upright = top_m > STATURE.least_m and STATURE.middle_shares[0] < middle_m / top_m < STATURE.middle_shares[1]
         if upright:
-            top = highest(track.label, votes.points[own[sample]])
+            top = highest(track.label, votes.points[samples[sample]])
             if is_open(top + STATURE.clearance_m * up):
                 track.add_stature(float(top @ up) - floor_m, now_s)

@@ -62,12 +62,12 @@ def load_weights(network: nn.Module, path: Path, optional: str | None = None) ->
     try:
         state = load(data)
         state = {k: v.float() if v.is_floating_point() else v for k, v in state.items()}
-        own = network.state_dict()
-        lacking = [k for k in own if k not in state]
+        parameters = network.state_dict()
+        lacking = [k for k in parameters if k not in state]
         if optional is not None:
-            kept, more = ([k for k in weights if k.startswith(optional)] for weights in (own, state))
+            kept, more = ([k for k in weights if k.startswith(optional)] for weights in (parameters, state))
             if not more:
-                state |= {k: own[k] for k in kept}
+                state |= {k: parameters[k] for k in kept}
             elif not kept:
                 state = {k: v for k, v in state.items() if k not in more}
         network.load_state_dict(state)

@@ -78,9 +78,9 @@ def train_landmarks(settings: LandmarkTraining, console: Console | None = None) 
             rest_landmarks(_person(model, rng)) for _ in progress.track(range(settings.bodies), description="bodies")
         ]
         fitted = _fit(np.stack([build for build, _ in rows]), np.stack([places for _, places in rows]))
-        found = LandmarkModel(fitted, np.zeros(len(LANDMARKS)))
+        fitted_model = LandmarkModel(fitted, np.zeros(len(LANDMARKS)))
         errors = [
-            _errors(_person(model, rng), found, settings.postures, rng)
+            _errors(_person(model, rng), fitted_model, settings.postures, rng)
             for _ in progress.track(range(settings.held_out), description="measuring")
         ]
     error = np.concatenate(errors).mean(0)
@@ -125,10 +125,10 @@ def _fit(builds: Float[ndarray, "n b"], places: Float[ndarray, "n m 3"]) -> Floa
     mean, scale = builds[:, 1:].mean(0), builds[:, 1:].std(0)
     inputs = np.concatenate([builds[:, :1], (builds[:, 1:] - mean) / scale], 1)
     penalty = _RIDGE * len(inputs) * np.diag([0.0, *np.ones(inputs.shape[1] - 1)])
-    found = np.linalg.solve(inputs.T @ inputs + penalty, inputs.T @ places.reshape(len(places), -1))
-    found[1:] /= scale[:, None]
-    found[0] -= mean @ found[1:]
-    return np.moveaxis(found.reshape(-1, *places.shape[1:]), 0, 1)
+    weights = np.linalg.solve(inputs.T @ inputs + penalty, inputs.T @ places.reshape(len(places), -1))
+    weights[1:] /= scale[:, None]
+    weights[0] -= mean @ weights[1:]
+    return np.moveaxis(weights.reshape(-1, *places.shape[1:]), 0, 1)
 
 
 def _errors(body: Body, fitted: LandmarkModel, count: int, rng: np.random.Generator) -> Float[ndarray, "n m"]:
@@ -142,5 +142,5 @@ def _errors(body: Body, fitted: LandmarkModel, count: int, rng: np.random.Genera
     for i, posed in enumerate(joints):
         motion = solve_body(Timeline(np.zeros(1), posed[None], 1 / 30), offsets=offsets)
         frames[i, _TRUNK] = motion.world_rotations()[0, _TRUNK]
-    found = joints[:, _JOINT] + np.einsum("tmij,mj->tmi", frames[:, _BONE], fitted.offsets_m(offsets))
-    return (np.linalg.norm(found - truth, axis=-1) / size_m)[1:]
+    markers = joints[:, _JOINT] + np.einsum("tmij,mj->tmi", frames[:, _BONE], fitted.offsets_m(offsets))
+    return (np.linalg.norm(markers - truth, axis=-1) / size_m)[1:]

@@ -328,8 +328,8 @@ def labels_in_views(sample: Sample) -> list[UInt8[ndarray, "_ _"]]:
     """The body regions of everybody in each view of a sample."""
     merged = [labels.copy() for labels in sample.result.labels]
     for person in sample.result.people:
-        for own, labels in zip(merged, person.labels, strict=False):
-            np.copyto(own, labels, where=labels > 0)
+        for indices, labels in zip(merged, person.labels, strict=False):
+            np.copyto(indices, labels, where=labels > 0)
     return merged
 
 

@@ -60,7 +60,7 @@ class LivePlots:
         times = np.array(seconds[1:], np.float64)
         poses = np.array([self._poses[second] for second in seconds], np.float64)
         latencies = [self._latencies[second] for second in seconds[1:]]
-        both = np.array([[np.median(each), max(each)] for each in latencies], np.float64)
+        both = np.array([[np.median(values), max(values)] for values in latencies], np.float64)
         return times - times[-1], np.diff(poses) / np.diff(np.array(seconds, np.float64)), both
 
     def show(self) -> None:

@@ -134,9 +134,9 @@ class SceneDrawing:
             if colours == "depth":
                 shown = distance_colours(depth_m.astype(np.float64), NEAREST_M, FARTHEST_M)
             else:
-                own = self.cameras.colour(view.camera.name) if colours == "camera" else _GREY
+                colour = self.cameras.colour(view.camera.name) if colours == "camera" else _GREY
                 near = 1.0 - 0.45 * np.clip((depth_m - NEAREST_M) / (FARTHEST_M - NEAREST_M), 0, 1)
-                shown = (near[:, None] * own.astype(np.float32)).astype(np.uint8)
+                shown = (near[:, None] * colour.astype(np.float32)).astype(np.uint8)
             if colours == "body part" and i < len(labels):
                 regions = labels[i][::stride, ::stride][valid]
                 shown = np.where(regions[:, None] > 0, colour_labels(regions[None])[0], shown)
@@ -184,11 +184,11 @@ class CamerasDrawing:
             return
         frustum, label = self._frusta[name]
         shown = f"{plain(name)} {plain(text)}".strip()
-        own = palette_colour(list(self._frusta).index(name))
+        of_camera = palette_colour(list(self._frusta).index(name))
         if label.text != shown:
             label.text = shown
-        if frustum.color != (colour or own):
-            frustum.color = colour or own
+        if frustum.color != (colour or of_camera):
+            frustum.color = colour or of_camera
 
     @property
     def visible(self) -> bool:

@@ -252,7 +252,7 @@ class TakePage:
         with self.page.server.atomic():
             self._draw_people(index)
             self._draw_room(frames)
-            person = next((each for each in take.people if each.number == self.chosen), None)
+            person = next((one for one in take.people if one.number == self.chosen), None)
             self.plots.show(index, str(self.joint.value), person or (take.people[0] if take.people else None))
             if int(self.slider.value) != index:
                 self.slider.value = index

@@ -122,7 +122,7 @@ class TakePlots:
             other = take.truth(int(first), int(end))[:, column] if kind == "truth" else unknown
             if kind == "beside" and take.beside:
                 number = None if person is None else person.number
-                twin = next((each for each in take.beside if each.number == number), take.beside[0])
+                twin = next((run for run in take.beside if run.number == number), take.beside[0])
                 other = twin.series(int(first), int(end))[0][:, column]
             parts.append(other)
         # A list, because viser makes the columns of a tuple arrays, which know no None.

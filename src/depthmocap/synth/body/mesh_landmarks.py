@@ -44,11 +44,11 @@ def landmark_vertices() -> Int[ndarray, " m"]:
             among |= np.char.startswith(bones, name)
         return int(np.argmax(np.where(among & (along > 0), along - _BESIDE * beside, -np.inf)))
 
-    found = _of_head_and_trunk(heads, vertices, bones, outermost)
+    places = _of_head_and_trunk(heads, vertices, bones, outermost)
     for side, out in (("R", -_LEFT), ("L", _LEFT)):
-        found |= {f"{side}{name}": vertex for name, vertex in _of_a_leg(heads, side, out, outermost).items()}
-        found |= {f"{side}{name}": vertex for name, vertex in _of_an_arm(heads, side, outermost).items()}
-    return np.array([found[name] for name in LANDMARK_NAMES])
+        places |= {f"{side}{name}": vertex for name, vertex in _of_a_leg(heads, side, out, outermost).items()}
+        places |= {f"{side}{name}": vertex for name, vertex in _of_an_arm(heads, side, outermost).items()}
+    return np.array([places[name] for name in LANDMARK_NAMES])
 
 
 _Outermost = Callable[..., int]
@@ -63,7 +63,7 @@ def _of_head_and_trunk(
     # Bones of the face have many names, none of which is lower than the jaw's joint.
     face = (vertices[:, 2] > heads["jaw"][2] - 0.03) & (np.abs(vertices[:, 0]) < 0.02)
     head = np.flatnonzero(vertices[:, 2] > heads["head"][2])
-    found = {
+    places = {
         "Crown": int(vertices[:, 2].argmax()),
         "Nose": int(np.where(face, -vertices[:, 1], -np.inf).argmax()),
         "C7": outermost(heads["neck01"], _BACK, *trunk),
@@ -76,13 +76,13 @@ def _of_head_and_trunk(
     apart = float(heads["upperleg01.L"][0] - heads["upperleg01.R"][0])
     for side, out in (("R", -_LEFT), ("L", _LEFT)):
         hip, shoulder = heads[f"upperleg01.{side}"], heads[f"upperarm01.{side}"]
-        found[f"{side}Acromion"] = outermost(shoulder, _UP, *trunk, f"upperarm01.{side}")
+        places[f"{side}Acromion"] = outermost(shoulder, _UP, *trunk, f"upperarm01.{side}")
         thigh = (*trunk, f"upperleg01.{side}", f"upperleg02.{side}")
-        found[f"{side}Asis"] = outermost(hip + _ASIS_UP * apart * _UP, _FORWARD, *thigh)
+        places[f"{side}Asis"] = outermost(hip + _ASIS_UP * apart * _UP, _FORWARD, *thigh)
         middle = np.array([0.0, hip[1], hip[2]])
-        found[f"{side}Psis"] = outermost(middle + _PSIS_UP * apart * _UP + _PSIS_OUT * apart * out, _BACK, *thigh)
-        found[f"{side}Trochanter"] = outermost(hip, out, *thigh)
-    return found
+        places[f"{side}Psis"] = outermost(middle + _PSIS_UP * apart * _UP + _PSIS_OUT * apart * out, _BACK, *thigh)
+        places[f"{side}Trochanter"] = outermost(hip, out, *thigh)
+    return places
 
 
 def _of_a_leg(heads: dict[str, ndarray], side: str, out: ndarray, outermost: _Outermost) -> dict[str, int]:
@@ -111,7 +111,7 @@ def _of_an_arm(heads: dict[str, ndarray], side: str, outermost: _Outermost) -> d
     thumb = heads[f"finger1-1.{side}"] - wrist
     forearm = unit(wrist - elbow)
     radial = thumb - (thumb @ forearm) * forearm
-    found = {
+    places = {
         "ElbowLateral": outermost(elbow, lateral, *arm),
         "ElbowMedial": outermost(elbow, -lateral, *arm),
         "WristRadial": outermost(wrist, radial, *arm),
@@ -125,10 +125,10 @@ def _of_an_arm(heads: dict[str, ndarray], side: str, outermost: _Outermost) -> d
     for number, name in enumerate(("Thumb", *_FINGERS), 1):
         joints = tuple(f"finger{number}-{k}.{side}" for k in (1, 2, 3))
         before, end = heads[joints[1]], heads[joints[2]]
-        found[f"{name}Tip"] = outermost(end, end - before, *joints)
+        places[f"{name}Tip"] = outermost(end, end - before, *joints)
         if number > 1:
-            found[f"Knuckle{name}"] = outermost(heads[joints[0]], dorsal, *joints, *hand)
-    return found
+            places[f"Knuckle{name}"] = outermost(heads[joints[0]], dorsal, *joints, *hand)
+    return places
 
 
 def posed_landmarks(body: Body, postures: Float[ndarray, "t 20 3"]) -> Float[ndarray, "t m 3"]:
