@@ -157,7 +157,7 @@ def run_bump_trial(trial: BumpTrial, console: Console) -> dict[str, Any]:
     rooms = round(trial.hours * 60 / trial.minutes)
     path = trial.out / "bump.json"
     empty = {"hours": 0.0, "false alarms": [], "bumps": {"shifted": [], "turned": []}}
-    document: dict[str, Any] = json.loads(path.read_text()) if path.exists() else empty
+    document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.exists() else empty
     for number in range(sum(map(len, document["bumps"].values())), rooms):
         rng = np.random.default_rng([trial.seed, number])
         scene, watch, alarms = _Scene(rng), SceneWatch(), 0

@@ -49,7 +49,7 @@ def _run(code: str, folder: Path, home: Path, **variables: str) -> subprocess.Co
     for each in (package / "kernels").glob("*.py"):
         (kernels / each.name).symlink_to(each)
     (kernels / "__pycache__").touch()
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("XDG_", "NUMBA_"))}
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("XDG_", "NUMBA_", "COVERAGE_"))}
     environment = kept | {"PYTHONPATH": str(folder), "HOME": str(home), "PYTHONDONTWRITEBYTECODE": "1"} | variables
     return subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, encoding="utf-8", check=False

@@ -86,7 +86,7 @@ class VotesEstimator:
 
 def _side_known(cloud: LabelledCloud) -> float:
     """Probability of left and right to be as the labels say."""
-    return float(_probability(np.array(cloud.front_log_odds))) if np.isfinite(cloud.front_log_odds) else 1.0
+    return float(1 / (1 + np.exp(-cloud.front_log_odds))) if np.isfinite(cloud.front_log_odds) else 1.0
 
 
 def _probability(logits: Float64[ndarray, "..."]) -> Float64[ndarray, "..."]:

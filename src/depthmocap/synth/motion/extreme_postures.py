@@ -157,8 +157,9 @@ def _random_arm(rng: np.random.Generator, side: str) -> dict[str, Float[ndarray,
         fits = inward < (0.75 if backward < 0 else 0.1) and not (backward > 0.75 and direction[2] > 0)
         if fits or tries == 50:
             break
-    twist, turned = np.deg2rad(rng.uniform(-60, 60, 2))
+    twist = np.deg2rad(rng.uniform(-60, 60))
     bent = np.deg2rad(rng.uniform(-10, 25) if rng.random() < 0.35 else rng.uniform(0, 135))
+    turned = np.deg2rad(rng.uniform(-60, 60))
     return {**arm_rotations(side, direction, twist, bent, turned), f"hand.{side}": np.deg2rad(rng.normal(0, 25, 3))}
 
 
