@@ -189,6 +189,7 @@ def _votes(
         samples,
         parts={labels: parts[~test] for labels, parts in samples.parts.items()},
         joints=samples.joints[~test],
+        landmarks=samples.landmarks[~test],
         groups=samples.groups[~test],
     )
     with tempfile.TemporaryDirectory() as folder:
