@@ -32,8 +32,10 @@ CLOUD_S = 0.1
 PICTURES_S = 0.25
 #: and of plots and words.
 WORDS_S = 0.5
-#: For so long (seconds) after a set was left out, because the machine is too slow, the page is drawn only so often.
-LATE_S, LATE_DRAWING_S = 2.0, 0.1
+#: For so long (seconds) after a set was left out, because the machine is too slow,
+LATE_S = 2.0
+#: the page is drawn only so often (seconds).
+LATE_DRAWING_S = 0.1
 #: Seconds in which stopping must be clicked again.
 _ASKED_S = 5.0
 #: Longest side of a depth picture on the page (pixels).
