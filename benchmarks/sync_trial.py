@@ -34,9 +34,7 @@ from depthmocap.synth.people.bodies import random_dressed_body
 _LATE_S = 0.04
 #: Length and rate of takes of depth pictures, and of simulated movement.
 _DEPTH_S, _DEPTH_HZ = 22.0, 10.0
-_MOVEMENT_S, _MOVEMENT_HZ, _TRACK_HZ = 90.0, 30.0, 15.0
-#: How long both recordings see the person (seconds), in turns.
-_SHARED_S = (20.0, 20.0, 12.0, 8.0)
+_MOVEMENT_S, _MOVEMENT_HZ = 90.0, 30.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +47,8 @@ class SyncTrial:
         pairs: pairs of recordings of each.
         depth_kinds: kinds of which takes of depth pictures are made, with a pair of cameras each.
         depth_pairs: pairs of recordings cut from each of these.
+        track_hz: rate of simulated tracks.
+        shared_s: how long both recordings see the person (seconds, at most 20), in turns.
     """
 
     out: tyro.conf.Positional[Path]
@@ -56,6 +56,8 @@ class SyncTrial:
     pairs: int = 6
     depth_kinds: tuple[MotionKind, ...] = ("circle", "line", "arms")
     depth_pairs: int = 12
+    track_hz: float = 15.0
+    shared_s: tuple[float, ...] = (20.0, 20.0, 12.0, 8.0)
 
 
 def run_sync_trial(trial: SyncTrial, console: Console) -> list[dict[str, Any]]:
@@ -67,9 +69,9 @@ def run_sync_trial(trial: SyncTrial, console: Console) -> list[dict[str, Any]]:
             for number in range(trial.pairs):
                 rng = np.random.default_rng([seed, number, 1])
                 begin_s = rng.uniform(0.5, _MOVEMENT_S - 42)
-                shared_s = _SHARED_S[number % len(_SHARED_S)]
-                a_s = begin_s + np.arange(0, 20, 1 / _TRACK_HZ)
-                b_s = a_s + 20 - shared_s + rng.uniform(0, 1 / _TRACK_HZ)
+                shared_s = trial.shared_s[number % len(trial.shared_s)]
+                a_s = begin_s + np.arange(0, 20, 1 / trial.track_hz)
+                b_s = a_s + 20 - shared_s + rng.uniform(0, 1 / trial.track_hz)
                 azimuths = rng.uniform(0, 360) + np.array([0, rng.choice([60, 95, 140, 180])])
                 a, b = (
                     simulated_track(movement, exposed_s, camera_pose(rng, azimuth), rng)
@@ -81,7 +83,7 @@ def run_sync_trial(trial: SyncTrial, console: Console) -> list[dict[str, Any]]:
         tracks = _depth_tracks(trial.out, kind)
         for number in range(trial.depth_pairs):
             rng = np.random.default_rng([number, 2])
-            shared_s = _SHARED_S[number % len(_SHARED_S)]
+            shared_s = trial.shared_s[number % len(trial.shared_s)]
             at_s = rng.uniform(0, _DEPTH_S - shared_s)
             a, b = _between(tracks[0], 0.0, at_s + shared_s), _between(tracks[1], at_s, _DEPTH_S)
             rows.append({"kind": kind, "from": "depth", **_compare(a, b, _LATE_S, shared_s, rng)})

@@ -227,15 +227,27 @@ def _apply_split(state: EditedPeople, edit: Edit, where: str) -> EditedPeople:
 
 def _apply_exchange(state: EditedPeople, edit: Edit, where: str) -> EditedPeople:
     table = _table(state, edit.person, where)
-    within = _within(table, edit)
-    changed = {}
-    for name, mirror in (("joints", MIRROR), ("points", POINT_MIRROR)):
-        for key in (name, "confidence" if name == "joints" else "points_confidence"):
-            if (array := getattr(table, key)) is not None:
-                mask = within.reshape(-1, *[1] * (array.ndim - 1))
-                changed[key] = np.where(mask, array[:, mirror], array)
+    mirrors = {
+        "joints": MIRROR,
+        "confidence": MIRROR,
+        "points": POINT_MIRROR,
+        "points_confidence": POINT_MIRROR,
+    }
     assert edit.person is not None
-    return _with(state, {edit.person: dataclasses.replace(table, **changed)})
+    exchanged = _changed(table, edit, lambda key, array: array[:, mirrors[key]])
+    return _with(state, {edit.person: exchanged})
+
+
+def _changed(table: PoseTable, edit: Edit, change: Callable[[str, ndarray], ndarray | float]) -> PoseTable:
+    """The table with joints, points and their confidences, where there are any, changed within the edit's time."""
+    within = _within(table, edit)
+    arrays = {key: getattr(table, key) for key in ("joints", "confidence", "points", "points_confidence")}
+    changed = {
+        key: np.where(within.reshape(-1, *[1] * (array.ndim - 1)), change(key, array), array)
+        for key, array in arrays.items()
+        if array is not None
+    }
+    return dataclasses.replace(table, **changed)
 
 
 def _apply_delete(state: EditedPeople, edit: Edit, where: str) -> EditedPeople:
@@ -247,12 +259,8 @@ def _apply_delete(state: EditedPeople, edit: Edit, where: str) -> EditedPeople:
             {number: name for number, name in state.names.items() if number != edit.person},
             state.take,
         )
-    within = _within(table, edit)
-    changed: dict[str, ndarray] = {}
-    for key, nothing in (("joints", np.nan), ("confidence", 0.0), ("points", np.nan), ("points_confidence", 0.0)):
-        if (array := getattr(table, key)) is not None:
-            changed[key] = np.where(within.reshape(-1, *[1] * (array.ndim - 1)), nothing, array)
-    return _with(state, {edit.person: dataclasses.replace(table, **changed)})
+    deleted = _changed(table, edit, lambda key, array: 0.0 if key.endswith("confidence") else np.nan)
+    return _with(state, {edit.person: deleted})
 
 
 def _apply_trim(state: EditedPeople, edit: Edit, where: str) -> EditedPeople:

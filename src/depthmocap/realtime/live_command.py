@@ -135,12 +135,10 @@ def run_live(settings: LiveSettings, console: Console | None = None, served: Pag
         if recording is not None and isinstance(capture, LiveCapture):
             stack.enter_context(recording)
             stack.callback(capture.stop)  # before a file is closed, into which cameras write
-        if settings.record is not None and recording is not None:
-            recording.begin(settings.record)
+            if settings.record is not None:
+                recording.begin(settings.record)
         if page is not None and served is None:
-            console.print(f"• open {page.page.url} in a browser")
-            if settings.open:
-                page.page.open_browser()
+            _tell_page(page, settings.open, console)
         if settings.out is not None:
             remove_results(settings.out)
         take.up = capture.up
@@ -157,10 +155,21 @@ def run_live(settings: LiveSettings, console: Console | None = None, served: Pag
     _check_any_poses(capture)
     _report(files.summary, settings.out, recording.written if recording is not None else (), console)
     if settings.out is not None:
-        for problem in write_more_formats(settings, settings.out, markers):
-            console.print(f"• {problem}")
-        _write_markers(settings.out, markers)
+        _write_further(settings, settings.out, markers, console)
     return RunResult(settings.out, files.summary)
+
+
+def _write_further(settings: LiveSettings, out: Path, markers: Sequence[TakeMarker], console: Console) -> None:
+    """Write the files that are made of whole takes: further formats, and the markers."""
+    for problem in write_more_formats(settings, out, markers):
+        console.print(f"• {problem}")
+    _write_markers(out, markers)
+
+
+def _tell_page(page: LivePage, opens: bool, console: Console) -> None:
+    console.print(f"• open {page.page.url} in a browser")
+    if opens:
+        page.page.open_browser()
 
 
 def _press(controls: LiveControls, console: Console, key: str) -> None:
