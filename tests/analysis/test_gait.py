@@ -11,6 +11,7 @@ from depthmocap.analysis.measures import Trial, measure, movement
 from depthmocap.analysis.steady_joints import SteadyJoints, steady_joints
 from depthmocap.analysis.strides import asymmetry, strides
 from depthmocap.body.skeleton import JOINT_INDEX
+from depthmocap.errors import InputError
 from depthmocap.exporting.timeline import Y_UP_FROM_Z_UP, Timeline
 
 STEPS = 7
@@ -89,3 +90,10 @@ def test_lost_frames_are_gaps() -> None:
     found = steady_joints(line, 0.0, 0.1)
     assert len(found.times_s) == len(joints)
     assert np.isnan(found.joints[20:40]).all() and not np.isnan(found.joints[40:]).any()
+
+
+def test_a_pause_of_years_is_refused_in_one_line() -> None:
+    joints = walk(3)
+    line = Timeline(np.r_[np.arange(len(joints) - 1) / FPS, 1e9], joints, 1 / FPS)
+    with pytest.raises(InputError, match="pauses for 9999999.. s after frame"):
+        steady_joints(line, 0.0, 0.1)

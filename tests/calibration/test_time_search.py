@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -79,6 +80,8 @@ def test_what_cannot_be_told_is_not():
     assert find_time(a, statue, rng).why == "nobody moves"
     nobody = JointTrack(np.empty(0), np.empty((0, 18, 3)), np.empty((0, 18)))
     assert find_time(a, nobody, rng).why == "nobody is seen for long enough"
+    years_apart = dataclasses.replace(a, times_s=a.times_s + np.where(np.arange(len(a.times_s)) > 200, 1e9, 0))
+    assert find_time(years_apart, a, rng).why.startswith("a recording spans 277777.8 hours")
     assert "at the same time" in find_time(a, clocked(a, a.times_s + 700), rng, longest_s=600.0).why
 
 

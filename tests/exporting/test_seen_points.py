@@ -79,6 +79,12 @@ def test_unsure_points_tell_nothing() -> None:
     np.testing.assert_allclose(solved([unsure]), solved([without_points(pose)]), atol=1e-9)
 
 
+def test_times_of_another_unit_are_smoothed_over_no_more_frames() -> None:
+    poses = [turned_pose(ns)[0] for ns in (10, 20, 30)]  # a hundred million a second
+    in_milliseconds = [dataclasses.replace(pose, timestamp_ns=pose.timestamp_ns * 10**5) for pose in poses]
+    np.testing.assert_allclose(solved(poses), solved(in_milliseconds), atol=1e-9)
+
+
 def test_points_are_written_beside_poses_and_read_back(tmp_path: Path) -> None:
     poses = [turned_pose(ns)[0] for ns in (10, 20, 30)]
     poses[1] = without_points(poses[1])

@@ -150,10 +150,11 @@ def _analyse(name: str, result: StoredResult, settings: AnalyseSettings) -> dict
     for person in take.people:
         try:
             line = take.rows(person, settings.least_confidence)
+            steady = steady_joints(line, settings.cutoff_hz, settings.fill_s)
         except InputError as error:
             problems.append(f"{person.label}: {error}")
             continue
-        moved = movement(steady_joints(line, settings.cutoff_hz, settings.fill_s), settings.anthropometry)
+        moved = movement(steady, settings.anthropometry)
         stem = f"person-{person.number}-" if take.several else ""
         write_series(out / f"{stem}series.csv", moved, result.up)
         write_events(out / f"{stem}events.csv", moved)

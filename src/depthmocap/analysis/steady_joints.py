@@ -11,7 +11,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.exporting.gap_filling import fill_gaps
-from depthmocap.exporting.timeline import Timeline
+from depthmocap.exporting.timeline import Timeline, check_pauses
 
 #: A second pass over the data lowers a second-order Butterworth filter's cutoff by this factor (Winter 2009, 2.2.4.4).
 _TWICE = 0.802
@@ -47,9 +47,13 @@ def steady_joints(line: Timeline, cutoff_hz: float, fill_s: float) -> SteadyJoin
 
     Args:
         cutoff_hz: 0 filters nothing; nor is anything filtered where the frame rate is too low for it.
+
+    Raises:
+        InputError: when long pauses would fill the even times with nobody.
     """
     joints, _ = fill_gaps(line.times_s, line.joints_y_up, fill_s)
     count = int(np.floor((line.times_s[-1] - line.times_s[0]) / line.frame_s + 1e-6)) + 1
+    check_pauses(line.times_s, count)
     times_s = line.times_s[0] + np.arange(count) * line.frame_s
     longest_s = max(_APART * line.frame_s, fill_s)
     even = np.full((count, *joints.shape[1:]), np.nan)

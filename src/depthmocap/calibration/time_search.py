@@ -23,6 +23,9 @@ from depthmocap.calibration.time_fit import DRIFT_SHARED_S, TimeFit, fit_time, s
 
 #: Offsets up to this (seconds) are searched.
 LONGEST_SEARCH_S = 600.0
+#: Recordings that span more than this (seconds), such as those with a pause of a day, are not searched: moments are
+#: as many as fit into it.
+_LONGEST_SPAN_S = 6 * 3600.0
 #: Both cameras must know a signal for this long (seconds) at an offset.
 LEAST_SHARED_S = 4.0
 #: Number of candidates,
@@ -82,6 +85,8 @@ def find_time(
     for track in (a, b):
         if len(track.times_s) < 2 or track.times_s[-1] - track.times_s[0] < LEAST_SHARED_S:
             return TimeMatch(None, "nobody is seen for long enough")
+        if (span_s := track.times_s[-1] - track.times_s[0]) > _LONGEST_SPAN_S:
+            return TimeMatch(None, f"a recording spans {span_s / 3600:.1f} hours: take out what does not belong to it")
         if moving_s(track) < _LEAST_MOVING_S:
             return TimeMatch(None, "nobody moves")
     start_a, signals_a, lengths_s = motion_signals(a)

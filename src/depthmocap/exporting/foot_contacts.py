@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINT_INDEX
+from depthmocap.exporting.timeline import SHORTEST_FRAME_S
 from depthmocap.geometry import rotation_between
 
 LEGS = tuple(tuple(JOINT_INDEX[side + name] for name in ("Hip", "Knee", "Foot")) for side in "RL")
@@ -72,7 +73,8 @@ def _stands(ankle: Float[ndarray, "t 3"], frame_s: float, settings: ContactSetti
     path = np.stack([np.interp(np.arange(len(ankle)), index, axis[index]) for axis in ankle.T], 1)
     from scipy.ndimage import gaussian_filter1d  # slow to import
 
-    smooth = gaussian_filter1d(path, max(settings.smooth_s / frame_s, 1e-3), axis=0, mode="nearest")
+    smooth_frames = max(settings.smooth_s / max(frame_s, SHORTEST_FRAME_S), 1e-3)
+    smooth = gaussian_filter1d(path, smooth_frames, axis=0, mode="nearest")
     speed = np.linalg.norm(np.gradient(smooth, frame_s, axis=0), axis=-1)
     stands = known & (speed < settings.slow_mps)
     for first, last in _stretches(stands):

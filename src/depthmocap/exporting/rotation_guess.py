@@ -9,6 +9,7 @@ from numpy import ndarray
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.exporting.learnt_rotations import LOOKED_BACK_S, RotationNetwork, nearest_rotations
 from depthmocap.exporting.seen_points import turned_by_points
+from depthmocap.exporting.timeline import SHORTEST_FRAME_S
 from depthmocap.geometry.transforms import cross, rotation_between
 
 #: Of the limbs that bend about a hinge: the joints that their bones start at, and the last one's end.
@@ -45,7 +46,8 @@ def likely_rotations(
         beside: points of the skin from their joints (see :func:`turned_by_points`).
     """
     window = np.stack([joints, *(_at(joints, times_s, times_s - back_s) for back_s in LOOKED_BACK_S[1:])])
-    smooth_frames = smooth_s / float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
+    period_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else np.inf
+    smooth_frames = smooth_s / max(period_s, SHORTEST_FRAME_S)
     return likely_now(window, offsets, smooth_frames, beside)
 
 

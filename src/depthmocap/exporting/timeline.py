@@ -23,6 +23,8 @@ LEAST_CONFIDENCE = 0.2
 LEAST_POINT_CONFIDENCE = 0.5
 #: The frame interval of a recording of a single pose (seconds).
 SINGLE_FRAME_S = 1 / 30
+#: Smoothing takes frames to be no closer than this (seconds), however wrong the unit of their timestamps.
+SHORTEST_FRAME_S = 1e-3
 
 
 def y_up_from(up: str) -> Float[ndarray, "3 3"]:
@@ -118,7 +120,17 @@ def frame_times(lines: Sequence[Timeline]) -> FrameTimes:
     longest = max(lines, key=lambda line: len(line.times_s))
     start_s, end_s = min(line.times_s[0] for line in lines), max(line.times_s[-1] for line in lines)
     count = int(np.rint((end_s - start_s) / longest.frame_s)) + 1
-    times_s = np.unique(np.concatenate([line.times_s for line in lines]))
+    check_pauses(np.unique(np.concatenate([line.times_s for line in lines])), count)
+    return FrameTimes(float(start_s), longest.frame_s, count)
+
+
+def check_pauses(times_s: Float[ndarray, " n"], count: int) -> None:
+    """Refuse poses at these times (seconds) when so many evenly spaced frames from the first to the last hold nobody
+    but in a few.
+
+    Raises:
+        InputError: with the longest pause.
+    """
     if count > 20 * len(times_s) + 1000:
         pause = int(np.diff(times_s).argmax())
         pause_s = times_s[pause + 1] - times_s[pause]
@@ -126,7 +138,6 @@ def frame_times(lines: Sequence[Timeline]) -> FrameTimes:
             f"the recording pauses for {pause_s:.0f} s after frame {pause} (from 0), which evenly spaced frames "
             "would fill with copies of it: record its parts one by one, or take out what does not belong to it"
         )
-    return FrameTimes(float(start_s), longest.frame_s, count)
 
 
 def evenly_spaced(line: Timeline, frames: FrameTimes | None = None) -> Timeline:
