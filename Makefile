@@ -20,7 +20,7 @@ demo: $(VENV)/base
 test: $(VENV)/body $(VENV)/gltf
 	$(PYTEST) -m "not slow"
 
-# What takes more than six seconds each.
+# What takes more than four seconds each.
 test-slow: $(VENV)/body $(VENV)/gltf
 	$(PYTEST) -m slow
 

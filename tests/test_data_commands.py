@@ -43,6 +43,7 @@ def root(body_model, tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 def test_synth_writes_what_is_read_back(root):
     (path,) = sections(root, "hard-pose", "test")
     section = Section(path)

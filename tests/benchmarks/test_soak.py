@@ -62,6 +62,7 @@ def test_perfect_cameras_lose_nothing(soak, recording, tmp_path):
     assert "frames not recorded" in text
 
 
+@pytest.mark.slow
 def test_every_fault_comes_and_is_counted(soak, recording, tmp_path):
     numbers, text = run(soak, recording, tmp_path, 0.7, True)
     assert numbers["recording"]["written"] == numbers["recording"]["offered"]

@@ -57,6 +57,7 @@ def test_the_packaged_recording(tmp_path, capsys):
     assert "3 of 3 cameras are placed" in capsys.readouterr().out.replace("\n", " ")
 
 
+@pytest.mark.slow
 def test_a_camera_that_never_sees_the_person_is_named_and_the_others_are_written(tmp_path, capsys):
     path = unplaced(tmp_path, every=4)
     empty = (path / "cam1" / "background.png").read_bytes()

@@ -32,6 +32,7 @@ def relative_errors(placement, poses):
     return np.max(pose_errors, axis=0)
 
 
+@pytest.mark.slow
 def test_cameras_are_placed_whatever_their_clocks_and_rates():
     rng = np.random.default_rng(0)
     poses = [stand(azimuth) for azimuth in AZIMUTHS]

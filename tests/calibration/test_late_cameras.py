@@ -47,6 +47,7 @@ def test_a_late_camera_is_placed_however_late(late_s):
     assert placement.offset_s[1] - placement.offset_s[0] == pytest.approx(late_s, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_clock_that_jumps_is_named():
     seen = tracks(0.0, 0.3)
     jumps = find_jumps(seen, [0.0, 0.0, 0.0], np.random.default_rng(0))

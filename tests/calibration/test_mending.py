@@ -153,6 +153,7 @@ def test_info_without_check_looks_at_no_pictures(tmp_path) -> None:
     assert "check" not in summary
 
 
+@pytest.mark.slow
 def test_run_names_what_is_wrong_and_not_the_cameras_that_are_right(tmp_path, capsys) -> None:
     def turned(entry: dict) -> None:
         pose = np.array(entry["world_from_camera"])

@@ -85,6 +85,7 @@ KILLED = """
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes of POSIX")
+@pytest.mark.slow
 def test_after_a_kill_poses_are_there_and_the_next_run_is_right(recording, pipelines, tmp_path):
     script = [sys.executable, "-c", textwrap.dedent(KILLED), str(SUPPORT), str(recording), str(tmp_path)]
     told = subprocess.run(script, check=True, capture_output=True, text=True).stdout.splitlines()

@@ -37,7 +37,7 @@ _MOMENTS = 60
 #: A rank below this is reached by people who move independently.
 LEAST_RANK = 60.0
 #: A rival of this share of the best rank makes it ambiguous.
-MOST_RIVAL = 0.6
+MOST_RIVAL = 0.5
 #: A hand, a foot or the trunk moves if it gets further than this (metres) in half a second;
 _MOVES_M = 0.12
 #: somebody moves who does so for this long (seconds).
