@@ -169,6 +169,7 @@ def run(settings: LiveFigures, shared: Path, folder: Path, console: Console) -> 
         "sets_per_second": summary["frames_per_second"],
         "sets": summary["frames"],
         "sets_dropped": summary["sets_dropped"],
+        "sets_labelled_in_part": summary["sets_labelled_in_part"],
         "sets_before_ready": summary["sets_before_ready"],
         "sets_with_people": summary["frames_by_person"],
         "latency_ms": summary["latency_ms"],
@@ -267,6 +268,7 @@ def table(numbers: dict[str, Any]) -> Table:
     goal = ONE_CORE_GOAL if one_core else TWO_PEOPLE_GOAL if settings["people"] == 2 else SETS_GOAL
     row("sets a second", f"{rate:.2f}", f"≥ {goal:g}", rate >= goal)
     row("sets left out; before it was ready", f"{numbers['sets_dropped']}; {numbers['sets_before_ready']}")
+    row("sets labelled in some views only", str(numbers["sets_labelled_in_part"]))
     if (lost := numbers["frames_unrecorded"]) is not None:
         row("frames not recorded", f"{lost} of {sum(numbers['frames']['offered'].values())}", "0", lost == 0)
     for scheme, stream in numbers["streams"].items():

@@ -234,6 +234,7 @@ def soak(settings: SoakSettings, folder: Path, console: Console) -> dict[str, An
         "cpu_cores": cpu / elapsed,
         "sets_per_second": capture.statistics.poses / elapsed,
         "sets_dropped": capture.dropped,
+        "sets_labelled_in_part": capture.labelled_in_part,
         "frames_overrun": capture.reader.overrun,
         **capture.statistics.summary(),
         "memory": _growth(memory),

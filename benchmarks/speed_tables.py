@@ -148,6 +148,7 @@ def views(numbers: dict[str, Any]) -> list[str]:
         "sets a second, of 30": ("≥ 29.5; two people 24; one core 20",
             [f"{run['sets_per_second']:.1f}" for run in runs]),
         "sets left out": ("", [f"{run['sets_dropped']:,} of {run['sets_dropped'] + run['sets']:,}" for run in runs]),
+        "sets labelled in some of the views only": ("", [f"{run.get('sets_labelled_in_part', 0):,}" for run in runs]),
         "frames not recorded": ("0", unrecorded),
         "last exposure of a set to the arrival of its packet, beyond the cameras' transport, p50":
             ("", [_of_streams(run, "p50_ms") for run in runs]),

@@ -76,7 +76,8 @@ def test_the_table_has_the_goals() -> None:
     stream = {"p50_ms": 20.0, "p95_ms": 46.0, "packets_per_second": 29.7, "everybody_share": 1.0}
     numbers = {
         "settings": {"live_cores": [], "people": 1}, "sets_per_second": 29.6, "sets_dropped": 3,
-        "sets_before_ready": 9, "frames_unrecorded": live_figures._unrecorded(counts), "frames": counts,
+        "sets_labelled_in_part": 40, "sets_before_ready": 9, "frames": counts,
+        "frames_unrecorded": live_figures._unrecorded(counts),
         "streams": {"osc": stream}, "start_s": 2.5, "page": None, **looked,
     }  # fmt: skip
     console = Console(record=True, width=200)

@@ -11,6 +11,7 @@ import pytest
 from camera_simulator import SimulatedCamera, Simulation
 from fakes import Board, FakeClassifier, FakeEstimator, fake_pipeline
 
+from depthmocap.calibration.rig_watch import RigWatch
 from depthmocap.cameras.source import DepthFrame
 from depthmocap.offline.pipeline import Pipeline
 from depthmocap.realtime.live_capture import LiveCapture
@@ -24,20 +25,25 @@ RATE = 20.0
 class Timed(Pipeline):
     """Takes a while for each half, and keeps in which order they began and ended."""
 
-    def __init__(self, virtual: Any, label_s: float, estimate_s: float, fails_at: int = -1) -> None:
+    def __init__(
+        self, virtual: Any, label_s: float, estimate_s: float, fails_at: int = -1, spared_share: float = 1.0
+    ) -> None:
         super().__init__(FakeClassifier(), FakeEstimator(), PeopleSegmenter({}, mode="none"), "z")
         self.events: list[tuple[str, int]] = []
         self.threads: set[int] = set()
-        self._virtual, self._seconds, self._fails_at = virtual, (label_s, estimate_s), fails_at
+        self.spared: list[bool] = []
+        self._virtual, self._fails_at = virtual, fails_at
+        self._seconds, self._spared_share = (label_s, estimate_s), spared_share
 
-    def label(self, frames: Any) -> Any:
+    def label(self, frames: Any, sparing: bool = False) -> Any:
         self.threads.add(threading.get_ident())
+        self.spared.append(sparing)
         self.events.append(("label", frames.timestamp_ns))
         if sum(what == "label" for what, _ in self.events) == self._fails_at:
             raise RuntimeError("the network is gone")
-        self._virtual.sleep(self._seconds[0])
+        self._virtual.sleep(self._seconds[0] * (self._spared_share if sparing else 1.0))
         self.events.append(("labelled", frames.timestamp_ns))
-        return super().label(frames)
+        return super().label(frames, sparing)
 
     def estimate(self, labelled: Any) -> Any:
         self.events.append(("estimate", labelled.frames.timestamp_ns))
@@ -69,13 +75,35 @@ def test_halves_overlap_and_poses_keep_their_order(virtual: Any) -> None:
     assert poses[True] >= 39 and poses[False] < 32
 
 
+def test_late_it_labels_fewer_views_and_watches_the_rig_by_sets_that_are_labelled_whole(
+    virtual: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watched: list[int] = []
+    monkeypatch.setattr(RigWatch, "__call__", lambda self, frames, cloud: watched.append(frames.timestamp_ns) or [])
+    pipeline = Timed(virtual, 0.06, 0.01, spared_share=0.5)  # of the 50 ms that there are
+    with capture_of(virtual, pipeline, 6.0, overlap=True) as capture:
+        stamps = [live.pose.timestamp_ns for live in capture]
+    late = pipeline.spared.index(True)
+    assert late < 5
+    whole = [i for i, spared in enumerate(pipeline.spared) if not spared]
+    assert all(b - a == 6 for a, b in itertools.pairwise(whole[late:]))
+    assert watched == [stamps[i] for i in whole]
+    assert capture.dropped < 4  # without it there were twenty
+
+    quick = Timed(virtual, 0.04, 0.03)
+    with capture_of(virtual, quick, 2.0, overlap=True) as capture:
+        assert len(list(capture)) >= 39
+    assert not any(quick.spared)
+
+
 def test_a_slow_consumer_gets_the_newest_set(virtual: Any) -> None:
-    ages_s = []
-    with capture_of(virtual, Timed(virtual, 0.01, 0.01), 10.0, overlap=True) as capture:
+    ages_s, pipeline = [], Timed(virtual, 0.01, 0.01)
+    with capture_of(virtual, pipeline, 10.0, overlap=True) as capture:
         for live in capture:
             ages_s.append(virtual.monotonic() - live.synced.timestamp_ns * 1e-9)
             virtual.sleep(0.42)
     assert max(ages_s[2:-1]) < 2 / RATE  # after the last one no newer comes
+    assert not any(pipeline.spared)  # it is not the machine that is late
 
 
 def test_every_frame_is_recorded_while_sets_are_left_out(virtual: Any) -> None:

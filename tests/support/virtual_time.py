@@ -119,7 +119,7 @@ class VirtualTime:
 class _Condition:
     """All share one lock, which waiting gives up as a whole."""
 
-    def __init__(self, owner: VirtualTime) -> None:
+    def __init__(self, owner: VirtualTime, lock: object = None) -> None:
         self._time = owner
 
     def __enter__(self) -> None:

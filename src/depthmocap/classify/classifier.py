@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import importlib.resources
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,8 +18,8 @@ from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.body.trunk import front_of_trunk
 from depthmocap.classify.front import FrontNetwork, front_of_labels, log_odds
 from depthmocap.classify.window import WINDOW_MAKERS, Window, WindowMaker
-from depthmocap.core.cores import usable_cores
 from depthmocap.core.onnx_session import open_network
+from depthmocap.core.shared_work import SharedWork
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry import z_up_from
@@ -167,8 +166,7 @@ class Classifier:
         self.make_window: WindowMaker = WINDOW_MAKERS[name]
         self._read = _READERS[name]
         self._front = FrontNetwork() if fronts and self.predicts_joints else None
-        self._threads = threads or usable_cores()
-        self._pool = ThreadPoolExecutor(self._threads)
+        self._work = SharedWork(threads)
 
     def label_window(self, window: Window) -> WindowPrediction:
         """The prediction for a window; labels are 0 outside the person."""
@@ -224,8 +222,7 @@ class Classifier:
 
     def label_masks(self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]]) -> Iterator[LabelledMask]:
         """The predictions for the views, in order, without turning the images upright."""
-        pairs = list(zip(views, masks, strict=True))
-        return self._pool.map(lambda pair: self.label_mask(*pair), pairs)
+        return iter(self._work.map(self.label_mask, views, masks))
 
     def label_views(
         self, views: Sequence[View], masks: Sequence[Bool[ndarray, "_ _"]], up: str | None = None
@@ -236,21 +233,24 @@ class Classifier:
             up: the world's up axis if known. Then images of cameras on their side or upside down are turned upright,
                 because the network is trained on upright cameras.
         """
-        pairs = list(zip(views, masks, strict=True))
         up_world = None if up is None else z_up_from(up)[2]
-        if len(pairs) <= self._threads:
-            return list(self._pool.map(lambda pair: self._label_upright(pair[0], pair[1], up_world), pairs))
-        shown = list(self._pool.map(lambda pair: self._show_upright(pair[0], pair[1], up_world), pairs))
-        found: list[WindowPrediction | None] = [None] * len(shown)
+        if len(views) <= self._work.threads:
+            return self._work.map(lambda view, mask: self._label_upright(view, mask, up_world), views, masks)
+        shown = self._work.map(lambda view, mask: self._show_upright(view, mask, up_world), views, masks)
 
-        def label(places: list[int]) -> None:
+        def label(places: list[int]) -> list[ViewPrediction]:
             windows = [window for place in places if (window := shown[place].window) is not None]
-            for place, prediction in zip(places, self._label_windows(windows), strict=True):
-                found[place] = prediction
+            found = self._label_windows(windows) if windows else [None] * len(places)
+            return [self._prediction(shown[place], each) for place, each in zip(places, found, strict=True)]
 
-        for _ in self._pool.map(label, _by_twos([item.window for item in shown])):
-            pass
-        return list(self._pool.map(self._prediction, shown, found))
+        twos = _by_twos([item.window for item in shown])
+        labelled = self._work.map(label, twos)
+        by_place = {
+            place: prediction
+            for places, predictions in zip(twos, labelled, strict=True)
+            for place, prediction in zip(places, predictions, strict=True)
+        }
+        return [by_place[place] for place in range(len(shown))]
 
     def _label_upright(
         self, view: View, mask: Bool[ndarray, "_ _"], up_world: Float[ndarray, "3"] | None
@@ -277,10 +277,9 @@ class Classifier:
 
 def _by_twos(windows: Sequence[Window | None]) -> list[list[int]]:
     """Places of windows that the network sees at once: two of one size, which take a tenth less time together than one
-    after the other; the largest first, so that threads end at about the same time."""
+    after the other; the largest first, so that threads end at about the same time. Views without window come last."""
     by_size: dict[tuple[int, ...], list[int]] = {}
     for place, window in enumerate(windows):
-        if window is not None:
-            by_size.setdefault(window.inputs.shape, []).append(place)
+        by_size.setdefault((0,) if window is None else window.inputs.shape, []).append(place)
     twos = [(np.prod(size), places[i : i + 2]) for size, places in by_size.items() for i in range(0, len(places), 2)]
     return [places for size, places in sorted(twos, key=lambda two: (-two[0] * len(two[1]), two[1]))]

@@ -75,6 +75,7 @@ class Summary(TypedDict):
     frames_by_camera: dict[str, int]
     frames_by_person: dict[str, int]
     sets_dropped: int
+    sets_labelled_in_part: int
     sets_before_ready: int
     ms_per_frame: Quantiles | None
     ms_per_stage: dict[str, Quantiles]
@@ -211,6 +212,7 @@ def make_summary(take: Take, numbers: Mapping[str, Any], person: int | None = No
         "frames_by_camera": {},
         "frames_by_person": {},
         "sets_dropped": 0,
+        "sets_labelled_in_part": 0,
         "sets_before_ready": 0,
         "ms_per_frame": None,
         "ms_per_stage": {},

@@ -43,8 +43,13 @@ SLOW_S = 2.0
 #: After so long (seconds) Python takes turns between threads. By its usual 5 ms a stage that comes out of a network or
 #: a kernel waits as long for a thread that draws or sends.
 _SWITCH_S = 0.0005
-#: Where sets are left out, because the machine is too slow, the rig is watched in one of so many.
-_WATCHED_LATE = 3
+#: Where so many sets in a row were there before anybody was free for them, the machine is late: people are labelled in
+#: some of the views that see them, in other ones in the next set,
+_BEHIND = 2
+#: for so long (seconds) after it was late last.
+_SPARING_S = 10.0
+#: One of so many sets is labelled whole all the same: by these the rig is watched.
+_WHOLE_EVERY = 6
 #: A consumer who is back within this (seconds) gets a set that was begun meanwhile.
 _QUICK_S = 0.03
 #: Frames over which the difference to a recording's clock is taken.
@@ -65,10 +70,11 @@ class LivePose:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _LabelledSet:
-    """A set on its way."""
+    """A set on its way; ``whole`` if people are labelled in all views that see them."""
 
     synced: SyncedSet
     people: LabelledSet
+    whole: bool
 
 
 class BackgroundSource(FrameSource):
@@ -91,7 +97,8 @@ class BackgroundSource(FrameSource):
 class LiveCapture:
     """A running motion capture; a context manager, and an iterator of :class:`LivePose`.
 
-    If the machine is too slow, it leaves out sets and does not lag behind.
+    If the machine is too slow, it labels people in fewer views of a set; if that does not help, it leaves out sets and
+    does not lag behind.
     """
 
     def __init__(
@@ -131,13 +138,15 @@ class LiveCapture:
         self._outlets = Outlets(streams, self.reader.problems.add)
         #: Adds to a time of ``time.monotonic_ns`` to give nanoseconds since 1970.
         self.unix_minus_monotonic_ns = time.time_ns() - time.monotonic_ns()
+        #: Number of sets of which people were labelled in some of the views only, because the machine was late.
+        self.labelled_in_part = 0
         #: Number of sets without a pose, because they came while the pipeline was prepared.
         self.sets_before_ready = 0
         self.up = rig.up if rig else (sources[0].up if sources else "z")
         self.area_m = rig.area_m if rig else (sources[0].area_m if sources else ())
         self._recorded_minus: list[int] = []
         self._rig_watch = RigWatch(self.up, explain=True)
-        self._seen_dropped = 0
+        self._sparing_until_s, self._spared, self._held_s = 0.0, 0, 0.0
         self._between_sets: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._overlap = usable_cores() > 1 if overlap is None else overlap
         self._switch_s = sys.getswitchinterval()
@@ -277,18 +286,17 @@ class LiveCapture:
                 return
             self._pipeline = self._make_warm_pipeline(frame_set(first, self.reader.cameras))
             self.sets_before_ready = self.reader.reset_dropped() + 1
-        held_s = 0.0
         with ahead:
             ahead.begin()
             while (labelled := ahead.result()) is not None:
                 # A consumer who takes long gets the newest set then, not one that was begun long before.
-                early = self._overlap and held_s < _QUICK_S and self._between_sets.empty()
+                early = self._overlap and self._held_s < _QUICK_S and self._between_sets.empty()
                 if early:
                     ahead.begin()
                 pose = self._estimate(labelled)
                 given_s = time.monotonic()
                 yield pose
-                held_s = time.monotonic() - given_s
+                self._held_s = time.monotonic() - given_s
                 if not early:
                     while not self._between_sets.empty():
                         self._between_sets.get()()
@@ -298,7 +306,19 @@ class LiveCapture:
     def _label(self, synced: SyncedSet) -> _LabelledSet:
         """The first half of a set's way, while the set before is on the second."""
         assert self._pipeline is not None
-        return _LabelledSet(synced, self._pipeline.label(frame_set(synced, self.reader.cameras)))
+        sparing = self._is_sparing()
+        self._spared = self._spared + 1 if sparing else 0
+        whole = not sparing or self._spared % _WHOLE_EVERY == 0
+        self.labelled_in_part += not whole
+        frames = frame_set(synced, self.reader.cameras)
+        return _LabelledSet(synced, self._pipeline.label(frames, sparing=not whole), whole)
+
+    def _is_sparing(self) -> bool:
+        """Whether the machine is late, or was just now; where the consumer takes long it is not the machine."""
+        now_s = time.monotonic()
+        if self.reader.behind >= _BEHIND and self._held_s < _QUICK_S:
+            self._sparing_until_s = now_s + _SPARING_S
+        return now_s < self._sparing_until_s
 
     def _estimate(self, labelled: _LabelledSet) -> LivePose:
         """The second half: the pose, which streams get first of all."""
@@ -308,9 +328,7 @@ class LiveCapture:
         self._send(result, frames)
         arrival_ns = max(frame.arrival_ns for frame in synced.frames.values())
         latency_ms = (time.monotonic_ns() - arrival_ns) * 1e-6
-        dropped = self.reader.dropped
-        late, self._seen_dropped = dropped > self._seen_dropped, dropped
-        if not late or self.statistics.poses % _WATCHED_LATE == 0:
+        if labelled.whole:
             self.reader.problems.update(self._rig_watch(frames, result.cloud))
         self.reader.problems.update(mix_up_lines(result))
         if len(self._recorded_minus) < _FIRST_FRAMES:

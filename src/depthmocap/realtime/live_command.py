@@ -313,6 +313,7 @@ def _finish_files(
         "frames_per_second": capture.statistics.poses / max(seconds, 1e-9),
         "interrupted": interrupted,
         "sets_dropped": capture.dropped,
+        "sets_labelled_in_part": capture.labelled_in_part,
         "sets_before_ready": capture.sets_before_ready,
         "smoothing": smoothing.describe() if smoothing else None,
         "devices": capture.pipeline.devices.running if capture.pipeline else {},

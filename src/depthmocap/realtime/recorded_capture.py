@@ -22,7 +22,7 @@ class RecordedCapture:
     It is used like a :class:`LiveCapture`. The latency is the time that the pipeline takes.
     """
 
-    dropped = sets_before_ready = recorded_minus_timestamp_ns = 0
+    dropped = labelled_in_part = sets_before_ready = recorded_minus_timestamp_ns = 0
 
     def __init__(
         self,

@@ -54,7 +54,8 @@ class SyncedReader:
     - Health checks, synchroniser and their counts belong to the thread "sets", which holds ``_ingest_lock`` while it
       works on them. ``statuses`` copies them under the same lock.
     - Waiting frames and changes, the newest set, and the counts of dropped frames and sets belong to the holder of the
-      condition ``_changed``.
+      lock that the conditions ``_changed`` and ``_published`` share. Of frames the thread "sets" is told by the one, of
+      sets who waits for them by the other: each wakes only when there is something for it.
     - Any thread may add to ``problems``.
 
     ``cameras``, ``statuses`` and ``problems.counts`` give copies that do not change afterwards.
@@ -86,8 +87,10 @@ class SyncedReader:
         self._inbox: collections.deque[DepthFrame] = collections.deque()
         #: Cameras that were opened, and names of cameras that were removed, for the thread that owns the ingest.
         self._changes: collections.deque[DepthCamera | str] = collections.deque()
-        self._changed = threading.Condition()
+        lock = threading.RLock()
+        self._changed, self._published = threading.Condition(lock), threading.Condition(lock)
         self._newest: SyncedSet | None = None
+        self._behind = 0
         self._failure: BaseException | None = None
         self._stopping = self._done = False
         self._reader = MultiCameraReader(sources, rig, self)
@@ -121,6 +124,11 @@ class SyncedReader:
         """Number of sets that were not taken in time."""
         with self._changed:
             return self._dropped
+
+    @property
+    def behind(self) -> int:
+        """How many of the last sets in a row were there before they were asked for."""
+        return self._behind
 
     @property
     def overrun(self) -> int:
@@ -202,9 +210,10 @@ class SyncedReader:
             leaving: whether no more are wanted; it is asked while none is there.
         """
         while True:
-            with self._changed:
+            with self._published:
+                self._behind = 0 if self._newest is None else self._behind + 1
                 while self._newest is None and not self._done and not leaving():
-                    self._changed.wait(POLL_S)  # a limit, because some systems notice Ctrl-C only afterwards
+                    self._published.wait(POLL_S)  # a limit, because some systems notice Ctrl-C only afterwards
                 newest, self._newest = self._newest, None
             if newest is None:
                 break
@@ -254,9 +263,9 @@ class SyncedReader:
                 self._publish(synced)
         except BaseException as error:  # ``sets`` raises it again
             self._failure = error
-        with self._changed:
+        with self._published:
             self._done = True
-            self._changed.notify_all()
+            self._published.notify_all()
 
     def _measure_rate(self) -> None:
         """Measure the rate of the fastest camera from the first frames, which wait meanwhile."""
@@ -306,7 +315,7 @@ class SyncedReader:
             self._publish(synced)
 
     def _publish(self, synced: SyncedSet) -> None:
-        with self._changed:
+        with self._published:
             self._dropped += self._newest is not None
             self._newest = synced
-            self._changed.notify_all()
+            self._published.notify_all()

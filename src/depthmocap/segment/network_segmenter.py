@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray
 
+from depthmocap.core.shared_work import SharedWork
 from depthmocap.frames import FrameSet, FrameSource, View
 from depthmocap.geometry import DepthCamera, transform_points, z_up_from
 from depthmocap.kernels.people_votes import grow_people, paint_people
@@ -95,7 +96,7 @@ class NetworkSegmenter:
         self._limits: dict[str, tuple[ndarray, ndarray]] = {}
         #: By camera: what its last image showed, and how many of these in a row were seen in part.
         self._last: dict[str, tuple[DetectedPeople, int]] = {}
-        self._pool = ThreadPoolExecutor(max_workers=4)
+        self._work, self._pool = SharedWork(), ThreadPoolExecutor(max_workers=1)
         #: What is learnt of the empty scene from the last set: nobody waits for it before the next one.
         self._learning: list[Future[None]] = []
         self._at_start = PersonTracker()
@@ -138,7 +139,7 @@ class NetworkSegmenter:
         depths = [np.ascontiguousarray(view.depth_m, np.float32) for view in views]
         grids = [self._grid(view) for view in views]
         limits = [self._limit(view) for view in views]
-        detected = list(self._pool.map(self._detect, views, depths, grids, limits))
+        detected = self._work.map(self._detect, views, depths, grids, limits)
         votes = Votes(
             np.concatenate([view.votes for view in detected]),
             np.concatenate([view.points for view in detected]),
@@ -148,7 +149,7 @@ class NetworkSegmenter:
         )
         labels = self._tracker.update(votes, now_s, lambda points: probability_in_views(points, detected))
         of_views = np.split(labels, np.cumsum([len(view.indices) for view in detected])[:-1])
-        images = list(self._pool.map(_paint, depths, detected, of_views, limits))
+        images = self._work.map(_paint, depths, detected, of_views, limits)
         floor_from_world = self._floor(views)
         measure_statures(
             self._tracker.active, votes, labels, floor_from_world,
@@ -205,12 +206,13 @@ class NetworkSegmenter:
     def _learn(self, frames: FrameSet, depths: Sequence[ndarray], detected: Sequence[DetectedPeople]) -> None:
         if self._backgrounds is None:
             return
-        for view, depth_m, people in zip(frames.views, depths, detected, strict=True):
-            background = self._backgrounds[view.camera.name]
-            if background.is_due(frames.timestamp_ns):
-                self._learning.append(
-                    self._pool.submit(_update_background, background, depth_m, people, frames.timestamp_ns)
-                )
+        due = [
+            (background, depth_m, people)
+            for view, depth_m, people in zip(frames.views, depths, detected, strict=True)
+            if (background := self._backgrounds[view.camera.name]).is_due(frames.timestamp_ns)
+        ]
+        if due:
+            self._learning.append(self._pool.submit(_update_backgrounds, due, frames.timestamp_ns))
 
     def _select(self, cameras: Sequence[DepthCamera]) -> list[PersonTrack]:
         return self._follower(self._tracker.active, self.people, lambda track: track.centre_m, cameras)
@@ -309,10 +311,9 @@ def _paint(
     return out
 
 
-def _update_background(
-    background: BackgroundModel, depth_m: ndarray, people: DetectedPeople, timestamp_ns: int
-) -> None:
-    background.update(depth_m, _occupied(people, depth_m.shape), timestamp_ns)
+def _update_backgrounds(due: Sequence[tuple[BackgroundModel, ndarray, DetectedPeople]], timestamp_ns: int) -> None:
+    for background, depth_m, people in due:
+        background.update(depth_m, _occupied(people, depth_m.shape), timestamp_ns)
 
 
 def _occupied(detected: DetectedPeople, shape: tuple[int, int]) -> Bool[ndarray, "h w"]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
+from depthmocap.core.shared_work import SharedWork
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, FrameSource, View
 from depthmocap.geometry import DepthCamera, rigid_inverse, transform_points
@@ -87,7 +87,7 @@ class PeopleSegmenter:
             name: BackgroundModel((background_m.shape[0], background_m.shape[1]), background_m)
             for name, background_m in backgrounds_m.items()
         }
-        self._pool = ThreadPoolExecutor(max_workers=4)
+        self._work = SharedWork()
         self._map: OccupancyMap | None = None
         self._cameras: dict[str, DepthCamera] = {}
         self._floor_from_world = np.eye(4)
@@ -125,7 +125,7 @@ class PeopleSegmenter:
         def segment(view: View, depth_m: ndarray, background: BackgroundModel) -> Foreground:
             return occupancy.foreground(view.camera, depth_m, background.limit_m, not background.learning)
 
-        foregrounds = list(self._pool.map(segment, views, depths, backgrounds))
+        foregrounds = self._work.map(segment, views, depths, backgrounds)
         foregrounds, labels = self._track(occupancy, foregrounds, views, frames.timestamp_ns * 1e-9)
 
         def label(view: Foreground, background: BackgroundModel) -> UInt8[ndarray, "h w"]:
@@ -135,7 +135,7 @@ class PeopleSegmenter:
                 background.update(view.depth_m, self._people_mask(image), frames.timestamp_ns)
             return image
 
-        images = list(self._pool.map(label, foregrounds, backgrounds))
+        images = self._work.map(label, foregrounds, backgrounds)
         return tuple(
             PersonMasks(track.number, tuple(image == track.label for image in images)) for track in self._select()
         )
