@@ -96,6 +96,29 @@ def test_two_close_together_from_the_start_are_two(dressed):
         assert max(overlap(person.masks, true) for person in people) > 0.75
 
 
+def test_what_a_camera_showed_stands_while_it_is_left_out(dressed, monkeypatch):
+    from depthmocap.synth.body.mesh import REST_POSTURE
+
+    looked_at: list[str] = []
+    look = NetworkSegmenter._detect
+    monkeypatch.setattr(
+        NetworkSegmenter, "_detect",
+        lambda self, view, *others: looked_at.append(view.camera.name) or look(self, view, *others),
+    )  # fmt: skip
+    segment = NetworkSegmenter({}, people=1)
+    cameras = [camera("cam0", 0.4), camera("cam1", 2.4)]
+    sets = [shown(dressed, cameras, REST_POSTURE, i)[0] for i in range(5)]
+    (before,) = [segment(frames) for frames in sets[:4]][-1]
+    looked_at.clear()
+    (after,) = segment.find(sets[4], {"cam1"})
+    assert looked_at == ["cam0"] and after.number == before.number
+    np.testing.assert_array_equal(after.masks[1], before.masks[1])
+    assert (after.masks[0] != before.masks[0]).any()  # which has noise
+    looked_at.clear()
+    (much_later,) = segment.find(dataclasses.replace(sets[4], timestamp_ns=10**9), {"cam1"})
+    assert sorted(looked_at) == ["cam0", "cam1"] and much_later.number == before.number
+
+
 def test_who_keeps_still_is_never_learnt_as_background(dressed):
     from depthmocap.synth.body.mesh import REST_POSTURE
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -57,6 +57,13 @@ class Segmenter(Protocol):
     def reset(self) -> None:
         """Forget who was there."""
         ...
+
+
+@runtime_checkable
+class SparingSegmenter(Segmenter, Protocol):
+    """One that can leave out cameras; see ``NetworkSegmenter``."""
+
+    def find(self, frames: FrameSet, left_out: Collection[str] = ()) -> tuple[PersonMasks, ...]: ...
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -161,7 +168,8 @@ class Pipeline:
         self.smoothing, self.devices = smoothing, NetworkDevices()
         self._filters: dict[int, _Smoothed] = {}
         self._fronts: dict[int, FrontMemory] = {}
-        self._turn = 0
+        #: Of sets that are labelled sparingly: their number, and in the last one the cameras that see each person.
+        self._turn, self._seen = 0, list[list[str]]()
 
     def reset(self) -> None:
         """Forget past poses and who was there; what is known of the empty scene is kept."""
@@ -196,21 +204,32 @@ class Pipeline:
         :meth:`estimate` with the set before; sets go through both in the same order.
 
         Args:
-            sparing: label everybody only in some of the views that see them, in other ones in the next set: where sets
-                follow each other the joints are as good, and a set takes three quarters of the time.
+            sparing: look for everybody, and label them, only in some of the views, in the other ones in the next set:
+                where sets follow each other the joints are as good, and a set takes two thirds of the time.
         """
         clock = [time.perf_counter()]
-        persons = self.segment(frames)
+        names = [view.camera.name for view in frames.views]
+        left_out = set[str]()
+        if sparing:
+            self._turn += 1
+            left_out = out_of_turn(names, self._seen, self._turn)
+        if left_out and isinstance(self.segment, SparingSegmenter):
+            persons = self.segment.find(frames, left_out)
+        else:
+            persons = self.segment(frames)
         nobody = tuple(np.zeros(view.depth_m.shape, np.bool_) for view in frames.views)
         # Somebody is looked for even where nobody is, so that every set has a pose.
         all_masks = tuple(person.masks for person in persons) or (nobody,)
         clock.append(time.perf_counter())
-        labelled = all_masks
+        labelled = [
+            mask if name not in left_out else nothing
+            for masks in all_masks
+            for name, mask, nothing in zip(names, masks, nobody, strict=True)
+        ]
         if sparing:
-            self._turn += 1
-            labelled = tuple(in_turn(masks, nobody, self._turn + i) for i, masks in enumerate(all_masks))
+            self._seen = [[names[i] for i, mask in enumerate(masks) if mask.any()] for masks in all_masks]
         views = frames.views * len(all_masks)
-        predictions = self._classifier.label_views(views, [mask for masks in labelled for mask in masks], self._up)
+        predictions = self._classifier.label_views(views, labelled, self._up)
         clock.append(time.perf_counter())
         count = len(frames.views)
         by_person = tuple(predictions[i * count : (i + 1) * count] for i in range(len(all_masks)))
@@ -277,14 +296,22 @@ class Pipeline:
         return smoothed
 
 
-def in_turn(
-    masks: Sequence[Bool[ndarray, "_ _"]], nobody: Sequence[Bool[ndarray, "_ _"]], turn: int
-) -> tuple[Bool[ndarray, "_ _"], ...]:
-    """The masks of a person in every second of the views that see them, and of nobody in the others, which are other
-    ones from turn to turn. Of three views one is left out, and of two none: joints need two."""
-    seen = [i for i, mask in enumerate(masks) if mask.any()]
-    left_out = seen[turn % 2 :: 2] if len(seen) > 3 else seen[turn % 3 :][:1] * (len(seen) == 3)
-    return tuple(nobody[i] if i in left_out else mask for i, mask in enumerate(masks))
+def out_of_turn(names: Sequence[str], seen: Sequence[Sequence[str]], turn: int) -> set[str]:
+    """Every second camera, the other ones in the next turn; of three one, of two none. Of the cameras that see somebody
+    two stay at least: joints need two.
+
+    Args:
+        names: of the cameras.
+        seen: of those that see each person.
+    """
+    left_out = set(names[turn % 2 :: 2]) if len(names) > 3 else {names[turn % 3]} if len(names) == 3 else set[str]()
+    for of_person in seen:
+        there = [name for name in of_person if name in names]
+        missing = [name for name in there if name in left_out]
+        fewest = min(2, len(there)) - (len(there) - len(missing))
+        for i in range(fewest):
+            left_out.remove(missing.pop((turn // 2 + i) % len(missing)))
+    return left_out
 
 
 def _milliseconds(stages: Sequence[str], clock: Sequence[float]) -> dict[str, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
@@ -43,6 +43,8 @@ GROW_M = 0.35
 _SETS_BEFORE = 8
 #: Where the empty scene is known, the network sees the whole picture in one of so many sets, in the others a part.
 _WHOLE_EVERY = 15
+#: What a camera has shown stands in for what it shows for so long (seconds) at most.
+_STANDS_S = 0.15
 #: So many points of somebody are looked up in all views.
 _POINTS = 80
 #: The top of a head is looked for this near to the highest sample (metres).
@@ -96,6 +98,8 @@ class NetworkSegmenter:
         self._limits: dict[str, tuple[ndarray, ndarray]] = {}
         #: By camera: what its last image showed, and how many of these in a row were seen in part.
         self._last: dict[str, tuple[DetectedPeople, int]] = {}
+        #: By camera: whose the pixels of its last image are, and when that was (seconds).
+        self._painted: dict[str, tuple[UInt8[ndarray, "_ _"], float]] = {}
         self._work, self._pool = SharedWork(), ThreadPoolExecutor(max_workers=1)
         #: What is learnt of the empty scene from the last set: nobody waits for it before the next one.
         self._learning: list[Future[None]] = []
@@ -125,9 +129,19 @@ class NetworkSegmenter:
         self._tracker = copy.deepcopy(self._at_start)
         self._follower.reset()
         self._last.clear()
+        self._painted.clear()
 
     def __call__(self, frames: FrameSet) -> tuple[PersonMasks, ...]:
         """The people in a frame set, those selected first at the front; an empty tuple when nobody is there."""
+        return self.find(frames)
+
+    def find(self, frames: FrameSet, left_out: Collection[str] = ()) -> tuple[PersonMasks, ...]:
+        """The same, where nobody is looked for in some cameras: what they showed in the set before stands, and so do
+        their masks.
+
+        Args:
+            left_out: names of the cameras; one that showed nothing just now is looked at all the same.
+        """
         views, now_s = frames.views, frames.timestamp_ns * 1e-9
         if not views:
             return ()
@@ -139,7 +153,15 @@ class NetworkSegmenter:
         depths = [np.ascontiguousarray(view.depth_m, np.float32) for view in views]
         grids = [self._grid(view) for view in views]
         limits = [self._limit(view) for view in views]
-        detected = self._work.map(self._detect, views, depths, grids, limits)
+        names = [view.camera.name for view in views]
+        stands = [
+            name in left_out and self._stands(name, grid, depth_m, now_s)
+            for name, grid, depth_m in zip(names, grids, depths, strict=True)
+        ]
+        looked_at = [i for i, stood in enumerate(stands) if not stood]
+        found = self._work.map(lambda i: self._detect(views[i], depths[i], grids[i], limits[i]), looked_at)
+        by_view = dict(zip(looked_at, found, strict=True))
+        detected = [by_view[i] if i in by_view else self._last[name][0] for i, name in enumerate(names)]
         votes = Votes(
             np.concatenate([view.votes for view in detected]),
             np.concatenate([view.points for view in detected]),
@@ -149,7 +171,9 @@ class NetworkSegmenter:
         )
         labels = self._tracker.update(votes, now_s, lambda points: probability_in_views(points, detected))
         of_views = np.split(labels, np.cumsum([len(view.indices) for view in detected])[:-1])
-        images = self._work.map(_paint, depths, detected, of_views, limits)
+        painted = self._work.map(lambda i: _paint(depths[i], detected[i], of_views[i], limits[i]), looked_at)
+        self._painted.update({names[i]: (image, now_s) for i, image in zip(looked_at, painted, strict=True)})
+        images = [self._painted[name][0] for name in names]
         floor_from_world = self._floor(views)
         measure_statures(
             self._tracker.active, votes, labels, floor_from_world,
@@ -157,7 +181,7 @@ class NetworkSegmenter:
             lambda label, place: highest_near(place, floor_from_world[2, :3], views, images, label),
             now_s,
         )  # fmt: skip
-        self._learn(frames, depths, detected)
+        self._learn(frames.timestamp_ns, [(names[i], depths[i], detected[i]) for i in looked_at])
         mix_ups, people = find_mix_ups(self._tracker.active), []
         for track in self._select([view.camera for view in views]):
             mix_up = mix_ups.get(track.number, CERTAIN)
@@ -203,16 +227,23 @@ class NetworkSegmenter:
         self._last[name] = detected, parts + 1
         return detected
 
-    def _learn(self, frames: FrameSet, depths: Sequence[ndarray], detected: Sequence[DetectedPeople]) -> None:
+    def _stands(self, name: str, grid: DepthGrid, depth_m: ndarray, now_s: float) -> bool:
+        """Whether what a camera showed last can stand in for what it shows now."""
+        if name not in self._last or name not in self._painted:
+            return False
+        image, painted_s = self._painted[name]
+        return self._last[name][0].grid is grid and image.shape == depth_m.shape and 0 < now_s - painted_s < _STANDS_S
+
+    def _learn(self, timestamp_ns: int, looked_at: Sequence[tuple[str, ndarray, DetectedPeople]]) -> None:
         if self._backgrounds is None:
             return
         due = [
             (background, depth_m, people)
-            for view, depth_m, people in zip(frames.views, depths, detected, strict=True)
-            if (background := self._backgrounds[view.camera.name]).is_due(frames.timestamp_ns)
+            for name, depth_m, people in looked_at
+            if (background := self._backgrounds[name]).is_due(timestamp_ns)
         ]
         if due:
-            self._learning.append(self._pool.submit(_update_backgrounds, due, frames.timestamp_ns))
+            self._learning.append(self._pool.submit(_update_backgrounds, due, timestamp_ns))
 
     def _select(self, cameras: Sequence[DepthCamera]) -> list[PersonTrack]:
         return self._follower(self._tracker.active, self.people, lambda track: track.centre_m, cameras)
