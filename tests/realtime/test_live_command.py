@@ -1,5 +1,6 @@
 """``depthmocap live`` on a small recording, with a pipeline that costs nothing: its files, and what it says."""
 
+import contextlib
 import json
 import sys
 from pathlib import Path
@@ -9,12 +10,14 @@ import pytest
 from camera_simulator import Faults, SimulatedCamera, Simulation
 from fakes import Board, fake_pipeline
 
+from depthmocap.calibration.rig_watch import RigWatch
 from depthmocap.cli import main
 from depthmocap.core.console import Terminal
 from depthmocap.core.network_devices import NetworkDevices
 from depthmocap.errors import InputError
 from depthmocap.exporting import read_bvh, read_csv, read_trc
 from depthmocap.exporting.summary import read_summary
+from depthmocap.geometry import load_rig, rigid_inverse, transform_points
 from depthmocap.offline.pipeline_settings import load_pipeline
 from depthmocap.realtime import live_capture as live_module
 from depthmocap.realtime import live_command as command
@@ -234,6 +237,53 @@ def test_a_camera_in_the_dark_is_told_and_counted(tmp_path, monkeypatch, virtual
     assert "• camera 'cam1': no pixel has depth: is it covered, or too near to something? (50 times)" in (
         console.export_text()
     )
+
+
+def test_a_key_places_the_camera_anew_that_was_moved(recording, tmp_path, monkeypatch, virtual):
+    press, stood = [], []
+    pipeline = fake_pipeline()
+    estimate, rig = pipeline.estimate, Board(2).rig
+    rng, moments = np.random.default_rng(0), []
+    for i in range(60):  # a body that goes about, seen 0.3 m aside by the camera that was moved
+        body, seen = rng.normal(0, 0.5, 3) + rng.normal(0, 0.3, (18, 3)), {}
+        for camera in rig.cameras:
+            aside = np.array([0.3 if camera.name == "cam1" else 0.0, 0.0, 0.0])
+            own = transform_points(rigid_inverse(camera.world_from_camera), body + aside)
+            seen[camera.name] = np.concatenate([own, np.full((18, 1), 0.05)], 1)
+        moments.append((0.1 * i, seen))
+
+    @contextlib.contextmanager
+    def keys(on_key):
+        press.append(on_key)
+        yield True
+
+    def estimate_and_press(labelled):
+        stood.append(labelled.frames.views[1].camera.world_from_camera[:3, 3])
+        if len(stood) == 3:  # the first that is not to compile or to warm up
+            press[0]("p")
+            watches[-1]._moved_s["cam1"] = 0.0
+            press[0]("x")
+            press[0]("P")
+        return estimate(labelled)
+
+    watches = []
+    make = RigWatch.__init__
+    monkeypatch.setattr(
+        RigWatch, "__init__", lambda self, *given, **more: watches.append(self) or make(self, *given, **more)
+    )
+    monkeypatch.setattr(RigWatch, "moments", lambda self, name: moments)
+    monkeypatch.setattr(command, "key_presses", keys)
+    pipeline.estimate = estimate_and_press
+    use_pipelines(monkeypatch, lambda *arguments, **others: pipeline)
+    console = Terminal(record=True, width=300)
+    settings = LiveSettings((recording,), out=tmp_path / "out", realtime=True, segment="none")
+    run_live(settings, console)
+    told = console.export_text()
+    assert told.count("• no camera was moved that is not placed anew") == 1
+    assert told.count("is placed anew: it had moved by 30.") == 1
+    np.testing.assert_allclose(stood[-1] - stood[2], [-0.3, 0.0, 0.0], atol=1e-6)
+    placed = load_rig(tmp_path / "out" / "rig-2.json")["cam1"].world_from_camera
+    np.testing.assert_array_equal(placed[:3, 3], stood[-1])
 
 
 def test_nobody_in_view_is_told(recording, tmp_path, monkeypatch):
