@@ -13,7 +13,9 @@ from fakes import Board, FakeClassifier, FakeEstimator, fake_pipeline
 
 from depthmocap.calibration.rig_watch import RigWatch
 from depthmocap.cameras.source import DepthFrame
+from depthmocap.frames import FrameSet
 from depthmocap.offline.pipeline import Pipeline
+from depthmocap.pose.cloud import LabelledCloud
 from depthmocap.realtime.live_capture import LiveCapture
 from depthmocap.realtime.look_ahead import LookAhead
 from depthmocap.realtime.sync import SyncSettings
@@ -75,18 +77,24 @@ def test_halves_overlap_and_poses_keep_their_order(virtual: Any) -> None:
     assert poses[True] >= 39 and poses[False] < 32
 
 
-def test_late_it_labels_fewer_views_and_watches_the_rig_by_sets_that_are_labelled_whole(
+def test_late_it_labels_fewer_views_and_compares_cameras_by_sets_that_are_labelled_whole(
     virtual: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     watched: list[int] = []
-    monkeypatch.setattr(RigWatch, "__call__", lambda self, frames, cloud: watched.append(frames.timestamp_ns) or [])
+
+    def watch(self: RigWatch, frames: FrameSet, cloud: LabelledCloud | None) -> list[str]:
+        if cloud is not None:
+            watched.append(frames.timestamp_ns)
+        return []
+
+    monkeypatch.setattr(RigWatch, "__call__", watch)
     pipeline = Timed(virtual, 0.06, 0.01, spared_share=0.5)  # of the 50 ms that there are
     with capture_of(virtual, pipeline, 6.0, overlap=True) as capture:
         stamps = [live.pose.timestamp_ns for live in capture]
     late = pipeline.spared.index(True)
     assert late < 5
     whole = [i for i, spared in enumerate(pipeline.spared) if not spared]
-    assert all(b - a == 6 for a, b in itertools.pairwise(whole[late:]))
+    assert whole[:late] == list(range(late)) and all(b - a == 24 for a, b in itertools.pairwise(whole[late:]))
     assert watched == [stamps[i] for i in whole]
     assert capture.dropped < 4  # without it there were twenty
 

@@ -29,7 +29,8 @@ _SINCE_S = 1.5e-9 * WINDOW_NS
 
 
 class RigWatch:
-    """Call it with every frame set and the followed person's cloud."""
+    """Call it with every frame set and the followed person's cloud, or None where not all views were labelled: then the
+    rooms alone are watched."""
 
     def __init__(self, up: str, explain: bool = False) -> None:
         """
@@ -52,7 +53,7 @@ class RigWatch:
         self._explanation: Future[list[str]] | None = None
         self._told: set[str] = set()
 
-    def __call__(self, frames: FrameSet, cloud: LabelledCloud) -> list[str]:
+    def __call__(self, frames: FrameSet, cloud: LabelledCloud | None) -> list[str]:
         """The problems that are found now, one line each."""
         problems = []
         # One camera whose place nobody knows may be carried.
@@ -66,9 +67,10 @@ class RigWatch:
                     f"camera {view.camera.name!r} was moved while it ran: {share:.0%} of what stood still before it is "
                     f"elsewhere; {way}depthmocap calibrate RECORDING --out rig.json"
                 )
-        misplaced = self._extrinsics_check(cloud)
+        misplaced = [] if cloud is None else self._extrinsics_check(cloud)
         if self._explain:
-            self._remember(cloud, frames.timestamp_ns / 1e9)
+            if cloud is not None:
+                self._remember(cloud, frames.timestamp_ns / 1e9)
             if misplaced and self._explanation is None:
                 self._start()
             problems += self._explained(wait=False)

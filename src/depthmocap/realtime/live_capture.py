@@ -48,8 +48,8 @@ _SWITCH_S = 0.0005
 _BEHIND = 2
 #: for so long (seconds) after it was late last.
 _SPARING_S = 10.0
-#: One of so many sets is labelled whole all the same: by these the rig is watched.
-_WHOLE_EVERY = 6
+#: One of so many sets is labelled whole all the same: by these the cameras are compared.
+_WHOLE_EVERY = 24
 #: A consumer who is back within this (seconds) gets a set that was begun meanwhile.
 _QUICK_S = 0.03
 #: Frames over which the difference to a recording's clock is taken.
@@ -328,8 +328,7 @@ class LiveCapture:
         self._send(result, frames)
         arrival_ns = max(frame.arrival_ns for frame in synced.frames.values())
         latency_ms = (time.monotonic_ns() - arrival_ns) * 1e-6
-        if labelled.whole:
-            self.reader.problems.update(self._rig_watch(frames, result.cloud))
+        self.reader.problems.update(self._rig_watch(frames, result.cloud if labelled.whole else None))
         self.reader.problems.update(mix_up_lines(result))
         if len(self._recorded_minus) < _FIRST_FRAMES:
             self._recorded_minus += [
