@@ -73,6 +73,6 @@ def test_the_watch_names_the_camera() -> None:
     watch, told = RigWatch("z"), []
     for i in range(120):
         views = tuple(View(each, room_m(each)) for each in (camera(turn_deg=3.0 if i > 60 else 0.0),))
-        told += watch(FrameSet(i * STEP_NS, views), cloud)
+        told += watch(FrameSet(i * STEP_NS, views), None if i % 24 else cloud)
     (line,) = told + watch.finish()
     assert line.startswith("camera 'a' was moved while it ran: ")

@@ -123,10 +123,11 @@ def grow_people(samples_m, limit_m, logits, least, step_m, reach_m, sample_rad, 
     rows, columns = labels.shape
     queue, gone = np.empty(rows * columns, np.int32), np.zeros(rows * columns, np.float32)
     first, last = 0, 0
-    for i in range(rows * columns):
-        if labels[i // columns, i % columns]:
-            queue[last] = i
-            last += 1
+    for i in range(rows):
+        for j in range(columns):
+            if labels[i, j]:
+                queue[last] = i * columns + j
+                last += 1
     while first < last:
         i, j = queue[first] // columns, queue[first] % columns
         so_far, z = gone[queue[first]], samples_m[i, j]
