@@ -45,11 +45,11 @@ SLOW_S = 2.0
 _SWITCH_S = 0.0005
 #: Where so many sets in a row were there before anybody was free for them, the machine is late: people are labelled in
 #: some of the views that see them, in other ones in the next set,
-_BEHIND = 2
+_BEHIND = 3
 #: for so long (seconds) after it was late last.
 _SPARING_S = 10.0
 #: One of so many sets is labelled whole all the same: by these the cameras are compared.
-_WHOLE_EVERY = 24
+WHOLE_EVERY = 24
 #: A consumer who is back within this (seconds) gets a set that was begun meanwhile.
 _QUICK_S = 0.03
 #: Frames over which the difference to a recording's clock is taken.
@@ -308,7 +308,7 @@ class LiveCapture:
         assert self._pipeline is not None
         sparing = self._is_sparing()
         self._spared = self._spared + 1 if sparing else 0
-        whole = not sparing or self._spared % _WHOLE_EVERY == 0
+        whole = not sparing or self._spared % WHOLE_EVERY == 0
         self.labelled_in_part += not whole
         frames = frame_set(synced, self.reader.cameras)
         return _LabelledSet(synced, self._pipeline.label(frames, sparing=not whole), whole)
