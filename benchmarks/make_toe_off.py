@@ -3,8 +3,8 @@
     python benchmarks/make_toe_off.py CLIPS src/depthmocap/analysis/toe_off.npz
 
 CLIPS is a folder as of ``evaluate analysis``, with a manifest.csv that describes its BVH files. One body performs all
-clips of the training split; joints are moved by about a centimetre and filtered as ``analyse`` does it. Prints errors
-of the clips of other splits, and of other walks by rule.
+clips of the training split, another each walk by rule; joints are moved by about a centimetre and filtered as
+``analyse`` does it. Prints errors of the clips of other splits, and of other walks by rule.
 """
 
 from __future__ import annotations
@@ -69,15 +69,16 @@ def samples(body: Body, motion: Motion, rng: np.random.Generator) -> Samples:
     return found
 
 
-def by_rule(body: Body, number: int, rng: np.random.Generator) -> Motion:
-    """Straight on and back, or round a square."""
+def by_rule(number: int, rng: np.random.Generator) -> tuple[Body, Motion]:
+    """Somebody who walks straight on and back, or round a square."""
     far = rng.uniform(0.85, 1.1)
     stops = [Stop(0.0, 1.9 * far), Stop(0.0, -1.9 * far)]
     if number % 2:
         stops = [Stop(-1.1 * far, far), Stop(-far, -far), Stop(far, -1.1 * far), Stop(1.1 * far, far)]
     way = sum(np.hypot(b.x - a.x, b.y - a.y) for a, b in itertools.pairwise(stops))
     speed = rng.uniform(0.6, 1.4)
-    return stroll(random_dressed_body(rng, "open"), stops, 0.4, speed, np.arange(round((way / speed + 1) * FPS)) / FPS)
+    dressed = random_dressed_body(rng, "open")
+    return dressed.body, stroll(dressed, stops, 0.4, speed, np.arange(round((way / speed + 1) * FPS)) / FPS)
 
 
 def fit(groups: list[Samples]) -> tuple[ndarray, ndarray, ndarray]:
@@ -118,7 +119,7 @@ def main(clips: Path, path: Path) -> None:
                 group += samples(body, motion, rng)
     ruled: list[Samples] = [[], []]
     for number in range(_BY_RULE):
-        ruled[number >= _BY_RULE - _TESTED] += samples(body, by_rule(body, number, rng), rng)
+        ruled[number >= _BY_RULE - _TESTED] += samples(*by_rule(number, rng), rng)
     model = fit([captured["train"], ruled[0]])
     for what, group in (*((f"captured, {split}", captured[split]) for split in captured), ("by rule", ruled[1])):
         tell(what, group, model)

@@ -10,6 +10,7 @@ from depthmocap.analysis.gait_events import swings
 from depthmocap.analysis.measures import Trial, measure, movement
 from depthmocap.analysis.steady_joints import SteadyJoints, steady_joints
 from depthmocap.analysis.strides import asymmetry, strides
+from depthmocap.body.landmarks import POINTS
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
 from depthmocap.exporting.timeline import Y_UP_FROM_Z_UP, Timeline
@@ -41,6 +42,25 @@ def test_a_walk_is_measured(heading_rad: float) -> None:
         assert stride.values["cadence"] == pytest.approx(60 / STEP_S, abs=1.5)
         assert stride.values["stance"] + stride.values["swing"] == pytest.approx(100)
         assert 25 < stride.values["double_support"] < 60
+
+
+def test_toes_that_are_seen_tell_when_they_leave() -> None:
+    joints = walk(STEPS) @ Y_UP_FROM_Z_UP.T
+    times_s = np.arange(len(joints)) / FPS
+    beside = np.full((len(joints), len(POINTS), 3), np.nan)
+    before = swings(steady_joints(Timeline(times_s, joints, 1 / FPS, beside), 6.0, 0.1))  # as without toes
+    # Toes that go as the ankle did 0.1 s ago.
+    later = np.clip(np.arange(len(joints)) - round(0.1 * FPS), 0, None)
+    for side in "RL":
+        ankle = joints[:, JOINT_INDEX[f"{side}Foot"]]
+        beside[:, POINTS.index(f"{side}Toe")] = ankle[later] - ankle + [0.0, -0.05, 0.15]
+    late = swings(steady_joints(Timeline(times_s, joints, 1 / FPS, beside), 6.0, 0.1))
+    assert [swing.heel_strike_s for swing in late] == [swing.heel_strike_s for swing in before]
+    assert 0.03 < np.mean([swing.toe_off_s for swing in late]) - np.mean([swing.toe_off_s for swing in before]) < 0.1
+    # Toes that are lost on the way tell nothing.
+    beside[:: round(0.3 * FPS)] = np.nan
+    lost = swings(steady_joints(Timeline(times_s, joints, 1 / FPS, beside), 6.0, 0.0))
+    assert [swing.toe_off_s for swing in lost] == pytest.approx([swing.toe_off_s for swing in before], abs=0.15)
 
 
 def test_what_is_not_seen_is_not_measured() -> None:

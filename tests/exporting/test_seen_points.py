@@ -10,13 +10,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from test_kinematic_skeleton import ADULT, FRAME_S, posed
 
-from depthmocap.body.landmarks import LANDMARKS, POINT_JOINTS, POINT_MIRROR, POINT_ROWS, POINTS
+from depthmocap.body.landmarks import POINT_BONES, POINT_JOINTS, POINT_MIRROR, POINTS
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
 from depthmocap.exporting.body_motion import solve_body
 from depthmocap.exporting.edits import Edit, Edits, apply_edits
-from depthmocap.exporting.landmark_model import LandmarkModel
 from depthmocap.exporting.pose_csv import write_csv
+from depthmocap.exporting.seen_points import point_places
 from depthmocap.exporting.timeline import timeline
 from depthmocap.frames import Pose
 from depthmocap.recordings.point_table import POINTS_FILE, read_poses
@@ -33,9 +33,7 @@ TURNS = {
 def turned_pose(ns: int = 0) -> tuple[Pose, np.ndarray]:
     """An adult in a Y-up world whose points of the skin are known, and the rotations of all bones."""
     joints, world = posed(**TURNS)
-    places = LandmarkModel.load().offsets_m(ADULT)[POINT_ROWS]
-    bones = [JOINT_INDEX[LANDMARKS[row].bone] for row in POINT_ROWS]
-    points = joints[0, POINT_JOINTS] + (world[0, bones] @ places[..., None])[..., 0]
+    points = joints[0, POINT_JOINTS] + (world[0, POINT_BONES] @ point_places(ADULT)[..., None])[..., 0]
     return Pose(ns, joints[0], np.ones(18), points, np.ones(len(POINTS))), world[0]
 
 

@@ -153,8 +153,9 @@ def _definitions(settings: AnalyseSettings) -> ReportSection:
         f"Joints with a confidence below {settings.least_confidence:g} count as not seen; gaps up to "
         f"{settings.fill_s:g} s are filled, longer ones stay gaps, and no number is made of them. Joints are low-pass "
         f"filtered at {settings.cutoff_hz:g} Hz (0: not at all).",
-        "Heel strikes and toe-offs are told by the ankles' speed; heels and toes are not seen. Angles follow the "
-        "conventions of the International Society of Biomechanics on joint centres, so that zeros may differ by a "
+        "Heel strikes are told by the ankles' speed, toe-offs by how legs move, and by the toes' speed where these are "
+        "told. Angles follow the conventions of the International Society of Biomechanics on joint centres, so that "
+        "zeros may differ by a "
         f"constant few degrees. Joints do not tell: {UNKNOWN}. Centre of mass: segment masses of de Leva 1996 "
         f"({settings.anthropometry}).",
     )

@@ -1,8 +1,9 @@
-"""Heel strikes and toe-offs, and the steps between them, from where ankles are.
+"""Heel strikes and toe-offs, and the steps between them, from where ankles are, and toes where these are told.
 
 Heels and toes are not among the joints. A foot's swing is where its ankle's horizontal speed peaks; heel strike is
 where the speed has fallen to a fifth, a share that was chosen on motion capture of walking, against when heel and toe
-themselves come to rest (docs/results/analysis.md); toe-off is told by how the leg moves (:mod:`.toe_off`).
+themselves come to rest (docs/results/analysis.md); toe-off is told by how leg and toe move
+(:mod:`.toe_off`).
 """
 
 from __future__ import annotations

@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float
 from numpy import ndarray
 from scipy.signal import butter, sosfiltfilt
 
-from depthmocap.body.skeleton import JOINT_INDEX
+from depthmocap.body.landmarks import POINT_JOINTS, POINTS
+from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
 from depthmocap.exporting.gap_filling import fill_gaps
 from depthmocap.exporting.timeline import Timeline, check_pauses
 
@@ -19,17 +20,21 @@ _TWICE = 0.802
 _PADDING = 9
 #: Largest cutoff, as a share of half the frame rate.
 _LARGEST_CUTOFF = 0.9
+#: Tips of the right and the left big toe among the points of the skin.
+_TOES = [POINTS.index("RToe"), POINTS.index("LToe")]
 #: Two poses further apart than so many frame intervals have a gap between them.
 _APART = 1.5
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SteadyJoints:
-    """Joints at even times, metres, Y up, NaN in gaps."""
+    """Joints at even times, metres, Y up, NaN in gaps; where the estimator tells them, tips of the right and the left
+    big toe, too."""
 
     times_s: Float[ndarray, " t"]
     joints: Float[ndarray, "t 18 3"]
     frame_s: float
+    toes: Float[ndarray, "t 2 3"] | None = None
 
     def of(self, name: str) -> Float[ndarray, "t 3"]:
         """One joint."""
@@ -43,7 +48,7 @@ class SteadyJoints:
 def steady_joints(line: Timeline, cutoff_hz: float, fill_s: float) -> SteadyJoints:
     """Gaps of a joint up to ``fill_s`` are filled, then joints are taken at even times, by linear interpolation between
     neighbouring poses, and low-pass filtered by a Butterworth filter of second order, forwards and backwards. Longer
-    gaps stay gaps: what is before and after one is filtered by itself.
+    gaps stay gaps: what is before and after one is filtered by itself. The same of toes.
 
     Args:
         cutoff_hz: 0 filters nothing; nor is anything filtered where the frame rate is too low for it.
@@ -51,7 +56,10 @@ def steady_joints(line: Timeline, cutoff_hz: float, fill_s: float) -> SteadyJoin
     Raises:
         InputError: when long pauses would fill the even times with nobody.
     """
-    joints, _ = fill_gaps(line.times_s, line.joints_y_up, fill_s)
+    joints = line.joints_y_up
+    if line.beside_y_up is not None:
+        joints = np.concatenate([joints, joints[:, POINT_JOINTS[_TOES]] + line.beside_y_up[:, _TOES]], 1)
+    joints, _ = fill_gaps(line.times_s, joints, fill_s)
     count = int(np.floor((line.times_s[-1] - line.times_s[0]) / line.frame_s + 1e-6)) + 1
     check_pauses(line.times_s, count)
     times_s = line.times_s[0] + np.arange(count) * line.frame_s
@@ -67,7 +75,9 @@ def steady_joints(line: Timeline, cutoff_hz: float, fill_s: float) -> SteadyJoin
         inside = (times_s >= at[0] - 1e-9) & (times_s <= at[-1] + 1e-9) & (at[after] - at[before] <= longest_s)
         values = np.stack([np.interp(times_s, at, axis) for axis in joints[known, i].T], axis=1)
         even[inside, i] = values[inside]
-    return SteadyJoints(times_s, low_pass(even, line.frame_s, cutoff_hz), line.frame_s)
+    even = low_pass(even, line.frame_s, cutoff_hz)
+    toes = None if line.beside_y_up is None else even[:, len(JOINTS) :]
+    return SteadyJoints(times_s, even[:, : len(JOINTS)], line.frame_s, toes)
 
 
 def low_pass(points: Float[ndarray, "t n 3"], frame_s: float, cutoff_hz: float) -> Float[ndarray, "t n 3"]:

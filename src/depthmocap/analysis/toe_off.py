@@ -1,7 +1,8 @@
-"""When a toe leaves the floor, from the leg's joints: a regression on how the leg moves as the swing begins.
+"""When a toe leaves the floor: from the leg's joints, and from when the tip of the big toe gets fast, where it is told.
 
 Toes are not among the joints, and a foot that rolls off its toes leaves later in the ankle's course than one that is
-lifted flat. What tells them apart is how the leg is bent, and how its speeds follow each other in time.
+lifted flat. What tells them apart is how the leg is bent, and how its speeds follow each other in time: a regression
+on how the leg moves as the swing begins.
 ``benchmarks/make_toe_off.py`` fits it on motion capture of walking and on walks made by rule.
 """
 
@@ -18,6 +19,12 @@ from depthmocap.analysis.steady_joints import SteadyJoints
 from depthmocap.core.reading.array_files import ArrayType, read_npz
 
 _FILE = Path(__file__).with_name("toe_off.npz")
+#: A toe has gone when it is so fast (m/s): heel and toe move faster then, for the heel goes first.
+_GONE_MPS = 1.0
+#: What the toe tells weighs so much beside what the leg does.
+_TOE_SHARE = 0.7
+#: The toe's speed is highest so long before or after the ankle's (s).
+_PEAKS_APART_S = 0.25
 #: Shares of the swing's peak speed whose times are told,
 _SHARES = (0.2, 0.3, 0.4, 0.6, 0.7, 0.8, 0.9)
 #: the one that they are told from,
@@ -101,8 +108,17 @@ def swing_features(
 
 
 def toe_off_frame(steady: SteadyJoints, side: str, speed: Float[ndarray, " t"], peak: int) -> float | None:
-    """When the toe leaves before a swing (a fraction of frames); where not all joints of the leg are known, when the
-    ankle has half of its peak speed. None where that is not known either. Arguments as :func:`swing_features`."""
+    """When the toe leaves before a swing (a fraction of frames): by the leg, and by the toe itself where it is told;
+    where not all of the leg's joints are known, when the ankle has half of its peak speed. None where that is not known
+    either. Arguments as :func:`swing_features`."""
+    by_leg = _by_leg(steady, side, speed, peak)
+    by_toe = _by_toe(steady, side, peak)
+    if by_leg is None or by_toe is None or abs(by_toe - by_leg) * steady.frame_s > _FURTHEST_S:
+        return by_leg
+    return by_leg + _TOE_SHARE * (by_toe - by_leg)
+
+
+def _by_leg(steady: SteadyJoints, side: str, speed: Float[ndarray, " t"], peak: int) -> float | None:
     values = swing_features(steady, side, speed, peak)
     if values is None:
         return last_crossing(speed, peak, -1, _HALF * speed[peak])
@@ -110,6 +126,26 @@ def toe_off_frame(steady: SteadyJoints, side: str, speed: Float[ndarray, " t"], 
     mean, scale, coefficients = _model()
     later_s = float(design(features[None], mean, scale)[0] @ coefficients)
     return half + float(np.clip(later_s, -_FURTHEST_S, _FURTHEST_S)) / steady.frame_s
+
+
+def _by_toe(steady: SteadyJoints, side: str, peak: int) -> float | None:
+    """When the tip of a toe gets fast before a swing's peak of the ankle's speed; None where it is not told."""
+    if steady.toes is None:
+        return None
+    apart = round(_PEAKS_APART_S / steady.frame_s)
+    first = max(peak - round((_BEFORE_S + _FURTHEST_S) / steady.frame_s), 0)
+    toe = steady.toes[first : peak + apart + 1, "RL".index(side)]
+    if len(toe) < 2:
+        return None
+    speed = np.linalg.norm(np.gradient(toe, steady.frame_s, axis=0), axis=1)
+    # What is before a gap is not the swing's.
+    unknown = np.flatnonzero(np.isnan(speed))
+    start = int(unknown[-1]) + 1 if len(unknown) else 0
+    near = max(peak - apart - first, start)
+    if near >= len(speed):
+        return None
+    gone = last_crossing(speed[start:], near + int(speed[near:].argmax()) - start, -1, _GONE_MPS)
+    return None if gone is None else first + start + gone
 
 
 def design(

@@ -100,5 +100,7 @@ POINTS: tuple[str, ...] = (
 POINT_ROWS = np.array([LANDMARK_INDEX[name] for name in POINTS])
 #: The joint that each is seen from.
 POINT_JOINTS = np.array([JOINT_INDEX[LANDMARKS[row].joint] for row in POINT_ROWS])
+#: The bone that each is on, by the joint that it starts at.
+POINT_BONES = np.array([JOINT_INDEX[LANDMARKS[row].bone] for row in POINT_ROWS])
 #: ``points[POINT_MIRROR]`` swaps left and right.
 POINT_MIRROR = np.array([POINTS.index(_mirror(name)) for name in POINTS])

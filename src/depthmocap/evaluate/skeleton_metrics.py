@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
-from depthmocap.body.landmarks import LANDMARKS
+from depthmocap.body.landmarks import LANDMARKS, POINT_MIRROR, POINT_ROWS, POINTS
 from depthmocap.body.skeleton import BONES, JOINT_INDEX, JOINTS
 from depthmocap.evaluate.temporal_metrics import REST_MPS
+from depthmocap.exporting.bone_rotations import rest_offsets
+from depthmocap.exporting.landmark_model import LandmarkModel
 
 #: A foot swings while its true ankle moves faster than this. Between this and ``REST_MPS`` it does neither.
 SWING_MPS = 0.25
@@ -105,6 +108,38 @@ def skeleton_metrics(
         off = np.concatenate([flexions_deg(f.joints, limb) - flexions_deg(t.joints, limb) for f, t in pairs])
         numbers[f"{name}_rms_deg"] = float(np.sqrt(np.nanmean(off**2))) if np.isfinite(off).any() else float("nan")
     return numbers | _landmark_errors(pairs)
+
+
+def point_errors_mm(
+    beside: Sequence[Float[ndarray, "t 18 3"] | None], truths: Sequence[SkeletonTrack]
+) -> dict[str, dict[str, Any]]:
+    """Of each of ``POINTS``, without its side, as seen from its joint (m, Y up): how far it is from its place on its
+    bone (``mean``, in the axes of the true bone, of those on the right; a median of sequences), and the deviation
+    besides."""
+    places = LandmarkModel.load()
+    found: dict[str, list[Float[ndarray, "n 3"]]] = {name: [] for name in POINTS}
+    for seen, truth in zip(beside, truths, strict=True):
+        if seen is None:
+            continue
+        at = places.offsets_m(rest_offsets(truth.joints))[POINT_ROWS]
+        for i, name in enumerate(POINTS):
+            bone = truth.rotations[:, JOINT_INDEX[LANDMARKS[POINT_ROWS[i]].bone]]
+            off = np.einsum("tji,tj->ti", bone, seen[:, i]) - at[i]
+            off[:, 0] *= -1.0 if name[0] == "L" else 1.0
+            if len(off := off[np.isfinite(off).all(1)]):
+                found[name].append(1000 * off)
+    errors = {}
+    for i, name in enumerate(POINTS):
+        sides = [found[name], found[POINTS[POINT_MIRROR[i]]]]
+        if all(sides):
+            mean = np.mean([np.median([np.median(off, 0) for off in side], 0) for side in sides], 0)
+            if POINT_MIRROR[i] == i:
+                mean[0] = 0.0
+            deviation = [np.sqrt(np.mean([((off - mean) ** 2).mean() for off in side])) for side in sides]
+            errors[name if POINT_MIRROR[i] == i else name[1:]] = {
+                "mean": mean.round(1).tolist(), "deviation": float(np.mean(deviation).round(1))
+            }  # fmt: skip
+    return errors
 
 
 def _landmark_errors(pairs: Sequence[tuple[SkeletonTrack, SkeletonTrack]]) -> dict[str, float]:

@@ -13,7 +13,7 @@ from numpy import ndarray
 from rich.console import Console
 from rich.table import Table
 
-from depthmocap.body.landmarks import POINT_ROWS, POINTS
+from depthmocap.body.landmarks import POINT_BONES, POINT_ROWS, POINTS
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.core.console import Terminal
 from depthmocap.core.locks import locks_outputs
@@ -28,8 +28,9 @@ from depthmocap.evaluate.motion_protocol import (
 )
 from depthmocap.evaluate.moving_people import FPS, moving_person
 from depthmocap.evaluate.sequence_settings import SequenceSettings
-from depthmocap.evaluate.skeleton_metrics import LANDMARK_GROUPS, SkeletonTrack, skeleton_metrics
+from depthmocap.evaluate.skeleton_metrics import LANDMARK_GROUPS, SkeletonTrack, point_errors_mm, skeleton_metrics
 from depthmocap.exporting.body_motion import solve_body
+from depthmocap.exporting.seen_points import MEAN_ERROR_M
 from depthmocap.exporting.timeline import LEAST_CONFIDENCE, Timeline, points_beside, y_up_from
 from depthmocap.exporting.virtual_markers import landmark_positions
 from depthmocap.frames import Pose
@@ -54,7 +55,8 @@ _ROWS = (
     ("hands_deg", "hands °", 1, 1),
     ("feet_deg", "feet °", 1, 1),
     ("joint_error_cm", "joints cm", 2, 1),
-    ("free_joint_error_cm", "joints before, cm", 2, 1),
+    ("told_joint_error_cm", "joints that were told, cm", 2, 1),
+    ("free_joint_error_cm", "these before, cm", 2, 1),
     ("foot_skate_mm", "skate of standing feet, mm a frame", 2, 1),
     ("free_foot_skate_mm", "skate before", 2, 1),
     ("held_in_swing", "feet held in swing %", 1, 100),
@@ -70,7 +72,8 @@ _ROWS = (
 @dataclasses.dataclass(frozen=True)
 class SkeletonEvaluation(SequenceSettings):
     """The skeleton of constant bones on generated sequences, as files have it and as it is made live: of the true
-    joints, of these and true points of the skin, and of what ``evaluate motion`` estimates, behind the filter. The
+    joints, of these and points of the skin where they are seen on average, and of what ``evaluate motion`` estimates,
+    behind the filter. The
     folder of its estimates with the same settings serves.
 
     Attributes:
@@ -123,8 +126,8 @@ def evaluate_skeleton(settings: SkeletonEvaluation, console: Console | None = No
     ]
     with_points = [
         [
-            dataclasses.replace(pose, points=points[POINT_ROWS] @ y_up, points_confidence=np.ones(len(POINTS)))
-            for pose, points in zip(poses, truth.landmarks, strict=True)
+            dataclasses.replace(pose, points=points @ y_up, points_confidence=np.ones(len(POINTS)))
+            for pose, points in zip(poses, truth.landmarks[:, POINT_ROWS] + _mean_errors(truth), strict=True)
         ]
         for poses, truth in zip(exact, truths, strict=True)
         if truth.landmarks is not None
@@ -150,13 +153,24 @@ def evaluate_skeleton(settings: SkeletonEvaluation, console: Console | None = No
             ]
             free = skeleton_metrics(before, truths, 1 / FPS)
             row = skeleton_metrics(tracks, truths, 1 / FPS)
+            told = [
+                dataclasses.replace(track, joints=np.where(np.isnan(free_track.joints), np.nan, track.joints))
+                for track, free_track in zip(tracks, before, strict=True)
+            ]
+            row["told_joint_error_cm"] = skeleton_metrics(told, truths, 1 / FPS)["joint_error_cm"]
             row |= {f"free_{key}": free[key] for key in ("joint_error_cm", "foot_skate_mm", "knee_rms_deg")}
             row["us_per_frame"] = 1e6 * spent_s / numbers["frames"]
             of_each = [skeleton_metrics([track], [truth], 1 / FPS) for track, truth in zip(tracks, truths, strict=True)]
             numbers[f"{name}, {way}"] = row | {"sequences": of_each}
+    numbers["points"] = point_errors_mm([points_beside(stream, "z") for stream in estimated], truths)
     console.print(_table(numbers))
     settings.write_numbers(numbers)
     return numbers
+
+
+def _mean_errors(truth: SkeletonTrack) -> Float[ndarray, "t p 3"]:
+    """What points are off by on average (m, Y up)."""
+    return (truth.rotations[:, POINT_BONES] @ MEAN_ERROR_M[:, :, None])[..., 0]
 
 
 def _joints(poses: Sequence[Pose]) -> Float[ndarray, "t 18 3"]:

@@ -5,8 +5,8 @@ The objective: of the rotation ``R_j`` of every joint, in its parent's frame,
     minimise over R_j  sum over the children c of j  | v_c - R_parents R_j o_c |²
 
 where ``v_c`` is the observed vector from the joint to the child and ``o_c`` the same vector in the rest skeleton. With
-several children this is an orthogonal Procrustes problem, solved by a singular value decomposition (Kabsch). With one
-child the twist about the bone is not observed, and the shortest rotation is used.
+several children this is an orthogonal Procrustes problem, solved by the rotation nearest to the vectors' covariance.
+With one child the twist about the bone is not observed, and the shortest rotation is used.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from depthmocap.body.skeleton import BONES, JOINT_INDEX, JOINTS, MIRROR, PARENTS
 from depthmocap.geometry import rotation_between
+from depthmocap.kernels.nearest_rotation import nearest_rotations
 
 ROOT = "Hip"
 CHILDREN: dict[str, tuple[str, ...]] = {
@@ -29,16 +30,17 @@ CHILDREN: dict[str, tuple[str, ...]] = {
 _DOWN, _LEFT, _RIGHT = (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
 
 #: The rest skeleton: a T pose that faces +Z, Y up, the subject's left at +X; the trunk as in somebody who stands at
-#: ease, so that pelvis and head are level. For each joint the direction from its parent, and an adult's length (m),
-#: which is used only for a bone that is never observed. At the joints with several children, Hip and Spine2, the
+#: ease, so that pelvis and head are level; shoulders and neck 3° further forwards, as people mostly hold them who move.
+#: For each joint the direction from its parent, and an adult's length (m), which is used only for a bone that is never
+#: observed. At the joints with several children, Hip and Spine2, the
 #: person's own directions are used, rotated to fit these best.
 REST: dict[str, tuple[tuple[float, float, float], float]] = {
     "Spine": ((0.0, 0.915, 0.404), 0.10), "Spine1": ((0.0, 0.994, 0.105), 0.16), "Spine2": ((0.0, 0.995, -0.098), 0.14),
-    "Neck": ((0.0, 0.987, 0.162), 0.19), "Head": ((0.0, 0.944, 0.331), 0.11),
+    "Neck": ((0.0, 0.977, 0.213), 0.19), "Head": ((0.0, 0.944, 0.331), 0.11),
     "RHip": ((-0.837, 0.023, 0.546), 0.13), "RKnee": (_DOWN, 0.42), "RFoot": (_DOWN, 0.40),
     "LHip": ((0.837, 0.023, 0.546), 0.13), "LKnee": (_DOWN, 0.42), "LFoot": (_DOWN, 0.40),
-    "RShoulder": ((-0.877, 0.429, 0.214), 0.21), "RElbow": (_RIGHT, 0.27), "RHand": (_RIGHT, 0.25),
-    "LShoulder": ((0.877, 0.429, 0.214), 0.21), "LElbow": (_LEFT, 0.27), "LHand": (_LEFT, 0.25),
+    "RShoulder": ((-0.877, 0.417, 0.236), 0.21), "RElbow": (_RIGHT, 0.27), "RHand": (_RIGHT, 0.25),
+    "LShoulder": ((0.877, 0.417, 0.236), 0.21), "LElbow": (_LEFT, 0.27), "LHand": (_LEFT, 0.25),
 }  # fmt: skip
 
 #: End sites of the last bones in the rest skeleton: offset (m) from the joint. They are not observed.
@@ -82,13 +84,19 @@ def bone_vectors(joints: Float[ndarray, "t 18 3"]) -> Float[ndarray, "t 18 3"]:
     return vectors
 
 
-def fit_rotation(rest: Float[ndarray, "k 3"], observed: Float[ndarray, "t k 3"]) -> Float[ndarray, "t 3 3"]:
-    """Rotations that fit the rest vectors best to the observed ones; NaN where these do not determine them."""
-    covariance = np.swapaxes(np.nan_to_num(observed), 1, 2) @ rest
-    U, singular, Vt = np.linalg.svd(covariance)
-    U[..., 2] *= np.sign(np.linalg.det(U @ Vt))[:, None]  # a rotation, not a reflection
-    rotation = U @ Vt
-    rotation[singular[:, 1] <= _LEAST_SPREAD * singular[:, 0]] = np.nan
+def fit_rotation(rest: Float[ndarray, "*b k 3"], observed: Float[ndarray, "t *b k 3"]) -> Float[ndarray, "t *b 3 3"]:
+    """Rotations that fit the rest vectors best to the observed ones; NaN where these do not determine them.
+
+    Args:
+        rest: k vectors of each of b bones.
+    """
+    covariance = np.swapaxes(np.nan_to_num(observed), -1, -2) @ rest
+    # Of the squares of singular values the sum, and the sum of products of two.
+    squares = np.swapaxes(covariance, -1, -2) @ covariance
+    size = np.einsum("...ii->...", squares)
+    spread = (size**2 - np.einsum("...ij,...ij->...", squares, squares)) / 2
+    rotation = nearest_rotations(covariance)
+    rotation[spread <= (_LEAST_SPREAD * size) ** 2] = np.nan
     return rotation
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -50,48 +51,51 @@ def write_c3d(path: Path, take: ExportedTake, settings: FileSettings) -> None:
         raise InputError(
             f"no pose.c3d: it holds {MOST_FRAMES:,} frames, and the take has {frames.count:,}: record it in parts"
         )
-    motions = [solve_body(evenly_spaced(line, frames), settings.fill_s) for line in lines]
-    confidences = [
-        _evenly_spaced_confidence(line, person.table.confidence, frames)
-        for line, person in zip(lines, take.people, strict=True)
-    ]
-    parts = []
-    for motion, confidence in zip(motions, confidences, strict=True):
-        parts += [_points(motion, confidence)] + [_landmarks(motion, confidence)] * settings.landmarks
-    points, residuals = (np.concatenate(arrays, axis=1) for arrays in zip(*parts, strict=True))
-    names = [take.name(person) for person in take.people]
-
-    def labels(of_person: tuple[str, ...]) -> list[str]:
-        return [f"{name}:{label}" if name else label for name in names for label in of_person]
-
     file: Any = ezc3d.c3d()
-    parameters = file["parameters"]
-    parameters["POINT"]["RATE"]["value"] = [1 / frames.frame_s]
-    parameters["POINT"]["LABELS"]["value"] = labels(JOINTS + LANDMARK_NAMES * settings.landmarks)
-    parameters["POINT"]["UNITS"]["value"] = ["mm"]
-    for name, value in {"X_SCREEN": "+X", "Y_SCREEN": "+Z"}.items():
-        file.add_parameter("POINT", name, [value])
-    file.add_parameter("ROTATION", "USED", [len(labels(JOINTS))])
-    file.add_parameter("ROTATION", "RATE", [1 / frames.frame_s])
-    file.add_parameter("ROTATION", "LABELS", labels(JOINTS))
-    file.add_parameter("MANUFACTURER", "SOFTWARE", ["depthmocap"])
-    file.add_parameter("MANUFACTURER", "VERSION_LABEL", [__version__])
-    file.add_parameter("DEPTHMOCAP", "START_S", [frames.start_s])
-    file.add_parameter("DEPTHMOCAP", "FIRST_TIMESTAMP_NS", [str(take.origin_ns)])
+    _describe(file["parameters"], file.add_parameter, take, frames, settings.landmarks)
     for time_s, text in take.markers:
         if text and time_s >= frames.start_s:
             minutes, seconds = divmod(time_s - frames.start_s, 60)
             file.add_event([minutes, seconds], "General", text)
-    if names[0]:
-        file.add_parameter("SUBJECTS", "USED", [len(names)])
-        file.add_parameter("SUBJECTS", "NAMES", names)
-        file.add_parameter("SUBJECTS", "USES_PREFIXES", [1])
-        file.add_parameter("SUBJECTS", "LABEL_PREFIXES", [f"{name}:" for name in names])
+    motions = [solve_body(evenly_spaced(line, frames), settings.fill_s) for line in lines]
+    parts = []
+    for motion, line, person in zip(motions, lines, take.people, strict=True):
+        confidence = _evenly_spaced_confidence(line, person.table.confidence, frames)
+        parts += [_points(motion, confidence)] + [_landmarks(motion, confidence)] * settings.landmarks
+    points, residuals = (np.concatenate(arrays, axis=1) for arrays in zip(*parts, strict=True))
     file["data"]["points"] = np.moveaxis(points, -1, 0).transpose(0, 2, 1)
     file["data"]["meta_points"] = {"residuals": residuals.T[None]}
     file["data"]["rotations"] = np.concatenate([_matrices(motion) for motion in motions], 1).transpose(2, 3, 1, 0)
     with atomic_write(path) as unfinished:
         file.write(str(unfinished))
+
+
+def _describe(
+    parameters: Any, add: Callable[[str, str, list[Any]], None], take: ExportedTake, frames: FrameTimes, landmarks: bool
+) -> None:
+    """Names, units, axes, rates and times of a file."""
+    names = [take.name(person) for person in take.people]
+
+    def labels(of_person: tuple[str, ...]) -> list[str]:
+        return [f"{name}:{label}" if name else label for name in names for label in of_person]
+
+    parameters["POINT"]["RATE"]["value"] = [1 / frames.frame_s]
+    parameters["POINT"]["LABELS"]["value"] = labels(JOINTS + LANDMARK_NAMES * landmarks)
+    parameters["POINT"]["UNITS"]["value"] = ["mm"]
+    for group, values in {
+        "POINT": {"X_SCREEN": "+X", "Y_SCREEN": "+Z"},
+        "ROTATION": {"USED": len(labels(JOINTS)), "RATE": 1 / frames.frame_s},
+        "MANUFACTURER": {"SOFTWARE": "depthmocap", "VERSION_LABEL": __version__},
+        "DEPTHMOCAP": {"START_S": frames.start_s, "FIRST_TIMESTAMP_NS": str(take.origin_ns)},
+    }.items():
+        for name, value in values.items():
+            add(group, name, [value])
+    add("ROTATION", "LABELS", labels(JOINTS))
+    if names[0]:
+        add("SUBJECTS", "USED", [len(names)])
+        add("SUBJECTS", "NAMES", names)
+        add("SUBJECTS", "USES_PREFIXES", [1])
+        add("SUBJECTS", "LABEL_PREFIXES", [f"{name}:" for name in names])
 
 
 def _evenly_spaced_confidence(

@@ -19,6 +19,7 @@ from numpy import ndarray
 
 from depthmocap.body.skeleton import BONES, JOINT_INDEX, JOINTS
 from depthmocap.exporting.bone_rotations import CHILDREN, rest_positions
+from depthmocap.kernels.pair_distances import move_to_distances
 
 #: Pairs of joints of constant distance: bones, and the children of one joint.
 _PAIRS = np.array(
@@ -39,34 +40,13 @@ _PASSES = 4
 _STRETCH_M = 1e-5
 #: A distance estimated shorter than this share of its length is left as it is: its direction is unreliable.
 _SHORTEST = 0.4
-#: Frames that are solved at once, which bounds memory.
-_CHUNK = 4096
 
 
 def with_constant_bones(joints: Float[ndarray, "t 18 3"], offsets: Float[ndarray, "18 3"]) -> Float[ndarray, "t 18 3"]:
     """The joints with the lengths and branches of a rest skeleton; NaN stays NaN, and binds nothing."""
     rest = rest_positions(offsets)
     lengths = np.linalg.norm(rest[_PAIRS[:, 1]] - rest[_PAIRS[:, 0]], axis=-1)
-    parts = [_projected(joints[i : i + _CHUNK], lengths) for i in range(0, len(joints), _CHUNK)]
-    return np.concatenate(parts) if parts else joints
-
-
-def _projected(joints: Float[ndarray, "t 18 3"], lengths: Float[ndarray, " p"]) -> Float[ndarray, "t 18 3"]:
-    known = np.asarray(np.isfinite(joints).all(-1))
-    moved = np.where(known[..., None], joints, 0.0)
-    between = moved[:, _PAIRS[:, 1]] - moved[:, _PAIRS[:, 0]]
-    bound = known[:, _PAIRS].all(-1) & (np.linalg.norm(between, axis=-1) > _SHORTEST * lengths)
-    # An unbound pair has an equation of its own, and no tension.
-    coupling = np.where(bound[:, :, None] & bound[:, None, :], _COUPLING, 0.0) + _DAMPING * np.eye(len(_PAIRS))
-    for _ in range(_PASSES):
-        between = moved[:, _PAIRS[:, 1]] - moved[:, _PAIRS[:, 0]]
-        length = np.linalg.norm(between, axis=-1)
-        stretch = np.where(bound, length - lengths, 0.0)
-        if np.abs(stretch).max(initial=0.0) < _STRETCH_M:
-            break
-        direction = between / np.maximum(length, 1e-9)[..., None]
-        cosines = direction @ np.swapaxes(direction, -1, -2)
-        cosines[:, np.arange(len(_PAIRS)), np.arange(len(_PAIRS))] = 1.0
-        tension = np.linalg.solve(coupling * cosines, stretch[..., None])
-        moved = moved - _INCIDENCE.T @ (tension * direction)
-    return np.where(known[..., None], moved, np.nan)
+    unknown = np.asarray(np.isnan(joints).any(-1))
+    moved = np.where(unknown[..., None], np.nan, joints)
+    move_to_distances(moved, _PAIRS, _COUPLING, lengths, _DAMPING, _SHORTEST, _PASSES, _STRETCH_M)
+    return moved

@@ -8,6 +8,7 @@ out of it is spread over the frames before and after.
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -154,12 +155,12 @@ class RunningFeet:
             span_s, oldest = recent[0]
             if place is None:
                 if span_s >= 0.7 * self.settings.least_s:
-                    speed = float(np.linalg.norm(ankle - oldest)) / span_s
+                    speed = math.dist(ankle, oldest) / span_s
                     if speed < _CATCH * self.settings.slow_mps:
                         self._places[i] = place = ankle + self._shifts[i]
             elif (
-                np.linalg.norm(ankle - place) > _LEAVE * self.settings.away_m
-                or np.linalg.norm(ankle - oldest) > _LEAVE * self.settings.slow_mps * span_s
+                math.dist(ankle, place) > _LEAVE * self.settings.away_m
+                or math.dist(ankle, oldest) > _LEAVE * self.settings.slow_mps * span_s
             ):
                 self._places[i] = place = None
             if place is None:
@@ -167,10 +168,10 @@ class RunningFeet:
             else:
                 follow = (ankle - place) * min(1.0, step_s / _FOLLOW_S)
                 most = _CREEP_MPS * step_s
-                follow *= min(1.0, most / max(float(np.linalg.norm(follow)), 1e-9))
+                follow *= min(1.0, most / max(math.hypot(*follow), 1e-9))
                 self._places[i] = place + follow
                 self._shifts[i] = place + follow - ankle
-            if np.linalg.norm(self._shifts[i]) > _LEAST_SHIFT_M:
+            if math.hypot(*self._shifts[i]) > _LEAST_SHIFT_M:
                 joints = reach_ankles(joints, leg, (ankle + self._shifts[i])[None])
         return joints
 
@@ -185,14 +186,12 @@ def reach_ankles(
     stay as they are.
     """
     hip, knee, ankle = (joints[:, i] for i in leg)
-    known = np.isfinite(hip + knee + ankle + target).all(-1, keepdims=True)
-    for vector in (knee - hip, ankle - hip, target - hip):
-        known &= np.linalg.norm(vector, axis=-1, keepdims=True) > _STRAIGHT_M  # False for NaN
-    thigh, shin, before, way = (
-        np.where(known, limb, [0.0, -1.0, 0.0]) for limb in (knee - hip, ankle - knee, ankle - hip, target - hip)
-    )
-    a, b = (np.linalg.norm(bone, axis=-1, keepdims=True) for bone in (thigh, shin))
-    length = np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-9)
+    limbs = np.stack([knee - hip, ankle - knee, ankle - hip, target - hip])
+    sizes = np.linalg.norm(limbs, axis=-1, keepdims=True)
+    known = (sizes[[0, 2, 3]] > _STRAIGHT_M).all(0) & ~np.isnan(sizes[1])  # False for NaN
+    if not known.all():
+        limbs, sizes = np.where(known, limbs, [0.0, -1.0, 0.0]), np.where(known, sizes, 1.0)
+    (thigh, _, before, way), (a, b, _, length) = limbs, sizes
     along = way / length
     # The way from the hip to the ankle takes the knee along as it turns.
     turn = rotation_between(before, along)
@@ -200,21 +199,19 @@ def reach_ankles(
     front = front - (front * along).sum(-1, keepdims=True) * along
     size = np.linalg.norm(front, axis=-1, keepdims=True)
     shortest, longest = (
-        sum(np.sqrt(np.maximum(bone**2 - far**2, 1e-12)) for bone in (a, b))
-        for far in (np.minimum(size + _KNEE_M, 0.9 * np.minimum(a, b)), np.maximum(size - _KNEE_M, 0.0))
+        sum(np.sqrt(np.maximum(bone**2 - aside**2, 1e-12)) for bone in (a, b))
+        for aside in (np.minimum(size + _KNEE_M, 0.9 * np.minimum(a, b)), np.maximum(size - _KNEE_M, 0.0))
     )
-    bent = (thigh * _unit(before)).sum(-1, keepdims=True) < 0  # a heel drawn up behind the hip
+    bent = (thigh * before).sum(-1, keepdims=True) < 0  # a heel drawn up behind the hip
     length = np.where(bent, np.clip(length, np.abs(a - b) + 1e-6, a + b - 1e-6), np.clip(length, shortest, longest))
-    front = np.where(size > _STRAIGHT_M, front / np.maximum(size, 1e-9), _across(along))
+    front = front / np.maximum(size, 1e-9)
+    if (straight := size <= _STRAIGHT_M).any():
+        front = np.where(straight, _across(along), front)
     cos = np.clip((a**2 + length**2 - b**2) / np.maximum(2 * a * length, 1e-9), -1, 1)
     result = joints.copy()
     result[:, leg[1]] = np.where(known, hip + a * (cos * along + np.sqrt(1 - cos**2) * front), knee)
     result[:, leg[2]] = np.where(known, hip + length * along, ankle)
     return result
-
-
-def _unit(vectors: Float[ndarray, "t 3"]) -> Float[ndarray, "t 3"]:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
 
 
 def _across(along: Float[ndarray, "t 3"]) -> Float[ndarray, "t 3"]:

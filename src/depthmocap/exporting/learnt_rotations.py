@@ -19,6 +19,7 @@ from numpy import ndarray
 from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
 from depthmocap.core.reading.array_files import ArrayType, read_npz
 from depthmocap.geometry.transforms import cross
+from depthmocap.kernels.nearest_rotation import nearest_rotations
 
 _FILE = Path(__file__).with_name("weights") / "rotations.npz"
 #: How long before the present the joints are looked at (s).
@@ -99,11 +100,4 @@ class RotationNetwork:
             values = values @ weights.T + biases
             if i + 1 < len(self.layers):
                 values = np.maximum(values, 0)
-        return axes[:, None] @ nearest_rotations(values.reshape(-1, len(JOINTS), 3, 3).astype(np.float64))
-
-
-def nearest_rotations(matrices: Float[ndarray, "*n 3 3"]) -> Float[ndarray, "*n 3 3"]:
-    """The rotations nearest to matrices."""
-    U, _, Vt = np.linalg.svd(matrices)
-    U[..., 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
-    return U @ Vt
+        return axes[:, None] @ nearest_rotations(values.reshape(-1, len(JOINTS), 3, 3))

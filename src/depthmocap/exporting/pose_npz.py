@@ -46,6 +46,8 @@ def write_npz(path: Path, take: ExportedTake, settings: FileSettings) -> None:
             up=np.array(take.up),
             frames_per_second=np.array(1 / line.frame_s),
             person=np.array(take.name(person)),
+            marker_times_s=np.array([time_s for time_s, _ in take.markers], np.float64),
+            marker_names=np.array([text for _, text in take.markers], np.str_),
             landmarks=landmark_positions(motion) @ y_up_from(take.up),
             landmark_confidence=landmark_confidence(person.table.confidence),
             landmark_expected_error=landmark_errors_m(person.table.confidence, motion.offsets),

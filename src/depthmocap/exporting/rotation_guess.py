@@ -7,10 +7,11 @@ from jaxtyping import Float
 from numpy import ndarray
 
 from depthmocap.body.skeleton import JOINT_INDEX
-from depthmocap.exporting.learnt_rotations import LOOKED_BACK_S, RotationNetwork, nearest_rotations
-from depthmocap.exporting.seen_points import turned_by_points
+from depthmocap.exporting.learnt_rotations import LOOKED_BACK_S, RotationNetwork
+from depthmocap.exporting.seen_points import point_places, turned_by_points
 from depthmocap.exporting.timeline import SHORTEST_FRAME_S
 from depthmocap.geometry.transforms import cross, rotation_between
+from depthmocap.kernels.nearest_rotation import nearest_rotations
 
 #: Of the limbs that bend about a hinge: the joints that their bones start at, and the last one's end.
 _UPPER, _LOWER, _END = (
@@ -60,7 +61,7 @@ def likely_now(
     """As :func:`likely_rotations`, of joints now and at ``LOOKED_BACK_S``."""
     rotations = RotationNetwork.load()(window, float(np.linalg.norm(offsets, axis=-1).sum()))
     if beside is not None:
-        rotations = turned_by_points(rotations, beside, offsets)
+        rotations = turned_by_points(rotations, beside, point_places(offsets))
     if smooth_frames > 0:
         from scipy.ndimage import gaussian_filter1d  # slow to import
 
@@ -72,23 +73,27 @@ def with_hinges(guess: Float[ndarray, "t 18 3 3"], joints: Float[ndarray, "t 18 
     """Rotations whose limbs are turned about themselves as their hinges are: elbows and knees that are bent tell it,
     and of straight ones the guess does."""
     guess = guess.copy()
-    bones = joints[:, _LOWER] - joints[:, _UPPER], joints[:, _END] - joints[:, _LOWER]
+    middle = joints[:, _LOWER]
+    bones = np.stack([middle - joints[:, _UPPER], joints[:, _END] - middle])
     guessed = (guess[:, _UPPER] @ _ALONG[:, :, None])[..., 0]
-    short = np.minimum(*(np.linalg.norm(bone, axis=-1, keepdims=True) for bone in bones)) < _SHORTEST_M
-    upper, lower = (_unit(np.where(short, guessed, bone)) for bone in bones)
+    sizes = np.linalg.norm(bones, axis=-1, keepdims=True)
+    if (short := sizes.min(0) < _SHORTEST_M).any():
+        bones, sizes = np.where(short, guessed, bones), np.where(short, 1.0, sizes)
+    upper, lower = bones / sizes
     seen = cross(upper, lower)
     sine = np.linalg.norm(seen, axis=-1, keepdims=True)
     bend = np.arctan2(sine, (upper * lower).sum(-1, keepdims=True))
     # The guess, pointed along the limb, tells the axis of a straight one.
     turn = rotation_between(guessed, upper)
-    before = ((turn @ guess[:, _UPPER]) @ _HINGE[:, :, None])[..., 0]
+    before = (turn @ (guess[:, _UPPER] @ _HINGE[:, :, None]))[..., 0]
     forwards = (seen * before).sum(-1, keepdims=True) >= 0
     least, most = (np.where(forwards, a, b) for a, b in zip(_BENT_RAD, _BACKWARDS_RAD, strict=True))
     trust = np.clip((bend - least) / (most - least), 0, 1)
     axis = trust * seen / np.maximum(sine, 1e-9) + (1 - trust) * before
-    for numbers, along in ((_UPPER, upper), (_LOWER, lower)):
-        across = _unit(axis - (axis * along).sum(-1, keepdims=True) * along)
-        guess[:, numbers] = np.stack([along, across, cross(along, across)], -1) @ np.swapaxes(_REST, -1, -2)
+    along = np.stack([upper, lower])
+    across = _unit(axis - (axis * along).sum(-1, keepdims=True) * along)
+    turned = np.stack([along, across, cross(along, across)], -1) @ np.swapaxes(_REST, -1, -2)
+    guess[:, _UPPER], guess[:, _LOWER] = turned
     return guess
 
 

@@ -13,12 +13,13 @@ from depthmocap.exporting.bone_rotations import bone_rotations, joint_positions,
 from depthmocap.exporting.constant_bones import with_constant_bones
 from depthmocap.exporting.foot_contacts import RunningFeet
 from depthmocap.exporting.kinematic_skeleton import pointed_rotations
-from depthmocap.exporting.learnt_rotations import LOOKED_BACK_S, nearest_rotations
+from depthmocap.exporting.learnt_rotations import LOOKED_BACK_S
 from depthmocap.exporting.rotation_guess import likely_now
-from depthmocap.exporting.seen_points import turned_by_points
+from depthmocap.exporting.seen_points import TURNED, point_places, turned_by_points
 from depthmocap.exporting.timeline import LEAST_CONFIDENCE, Y_UP_FROM_Z_UP, points_beside
 from depthmocap.frames import Pose
 from depthmocap.geometry import z_up_from
+from depthmocap.kernels.nearest_rotation import nearest_rotations
 
 #: The rest skeleton is learnt from so many poses, at doubling distances,
 LEARNT_POSES = 512
@@ -67,7 +68,8 @@ class RunningSkeleton:
         self._offsets = np.zeros((18, 3)) if offsets is None else offsets
         self._feet = RunningFeet()
         self._past: collections.deque[tuple[int, Float[ndarray, "18 3"]]] = collections.deque(maxlen=16)
-        self._turns = np.tile(np.eye(3), (18, 1, 1))
+        self._turns = np.tile(np.eye(3), (len(TURNED), 1, 1))
+        self._places = point_places(self._offsets)
 
     @property
     def learning(self) -> bool:
@@ -106,10 +108,13 @@ class RunningSkeleton:
         self, likely: Float[ndarray, "1 18 3 3"], beside: Float[ndarray, "1 18 3"], step_s: float
     ) -> Float[ndarray, "1 18 3 3"]:
         """Likely rotations, turned as points of the skin tell, whose noise a low-pass takes away."""
-        turns = np.swapaxes(likely[0], -1, -2) @ turned_by_points(likely, beside, self._offsets)[0]
+        before = likely[0, TURNED]
+        turns = np.swapaxes(before, -1, -2) @ turned_by_points(likely, beside, self._places)[0, TURNED]
         weight = 1 - np.exp(-max(step_s, 0.0) / _TURN_S) if self._posed is not None else 1.0
         self._turns = nearest_rotations(self._turns + weight * (turns - self._turns))
-        return likely @ self._turns
+        likely = likely.copy()
+        likely[0, TURNED] = before @ self._turns
+        return likely
 
     def _learn(self, joints: Float[ndarray, "18 3"], step_s: float) -> None:
         if not self.learning:
@@ -120,6 +125,7 @@ class RunningSkeleton:
         if self._count & (self._count - 1) == 0 or not self.learning:  # a power of two, or the last
             before = np.linalg.norm(self._offsets, axis=-1)
             self._offsets = rest_offsets(np.stack(self._learnt))
+            self._places = point_places(self._offsets)
             if self._count > 1:
                 changes = np.abs(np.linalg.norm(self._offsets, axis=-1) - before)
                 self.largest_change_m = max(self.largest_change_m, float(changes.max()))
