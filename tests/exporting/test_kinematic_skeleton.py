@@ -106,6 +106,19 @@ def test_limits_of_people_are_kept() -> None:
     assert not beyond_limits(np.arange(18), solve_body(timeline_of(joints)).local).any()
 
 
+def test_legs_whose_sides_are_wrong_leave_the_trunk_alone() -> None:
+    joints, world = posed()
+    legs = [JOINT_INDEX[side + name] for side in "RL" for name in ("Hip", "Knee", "Foot")]
+    joints[:, legs] = joints[:, legs[3:] + legs[:3]]
+    motion = solve_body(timeline_of(joints), offsets=ADULT)
+    assert not beyond_limits(np.arange(18), motion.local).any()
+    off = np.linalg.norm(motion.positions() - joints, axis=-1)[0]
+    arms = [JOINT_INDEX[side + name] for side in "RL" for name in ("Shoulder", "Elbow", "Hand")]
+    assert off[[JOINT_INDEX["Head"], *arms]].max() < 0.08 and off[legs].max() < 0.3
+    chest = Rotation.from_matrix(motion.world_rotations()[0, JOINT_INDEX["Spine2"]].T @ world[0, JOINT_INDEX["Spine2"]])
+    assert np.rad2deg(chest.magnitude()) < 15
+
+
 def stepping(frames: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Joints of somebody whose right foot stands, with noise, and is moved by 40 cm in the middle; and the frames of
     the swing."""

@@ -9,6 +9,8 @@ import importlib
 import sys
 from typing import Any
 
+_ASIDE_M = 1e-3
+
 
 def convert(glb: str, fbx: str, frames_per_second: float, frames: int) -> None:
     """Import at the take's rate, and write every frame of every bone, in metres."""
@@ -18,6 +20,9 @@ def convert(glb: str, fbx: str, frames_per_second: float, frames: int) -> None:
     scene.render.fps = max(1, round(frames_per_second))
     scene.render.fps_base = scene.render.fps / frames_per_second
     bpy.ops.import_scene.gltf(filepath=glb, disable_bone_shape=True)
+    for thing in scene.objects:
+        if thing.type == "ARMATURE":
+            _move_root(bpy, thing)
     scene.frame_start, scene.frame_end = 0, max(frames - 1, 1)
     bpy.ops.export_scene.fbx(
         filepath=fbx,
@@ -28,6 +33,18 @@ def convert(glb: str, fbx: str, frames_per_second: float, frames: int) -> None:
         bake_anim_use_all_actions=False,
         bake_anim_simplify_factor=0.0,
     )
+
+
+def _move_root(bpy: Any, armature: Any) -> None:
+    """A bone at the origin goes a little aside: FBX has no tails of bones, and Blender's importer takes a child that is
+    straight above it for one that hangs at its tail, and never moves by itself."""
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="EDIT")
+    for bone in armature.data.edit_bones:
+        if bone.parent is None and len(bone.children) == 1:
+            bone.head.x += _ASIDE_M
+            bone.tail.x += _ASIDE_M
+    bpy.ops.object.mode_set(mode="OBJECT")
 
 
 if __name__ == "__main__":
