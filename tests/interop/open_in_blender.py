@@ -32,10 +32,11 @@ def open_file(path: Path) -> None:
 
 def look(path: Path, seconds: float, frames_per_second: float) -> dict[str, Any]:
     """Where everything is so long after the file's first frame, which importers put at frame 0, and of BVH at 1. That
-    of USD takes frames as they are; the others set Blender's rate, or follow it."""
+    of USD takes frames as they are, and that of FBX counts them by the rounded rate; the others set Blender's rate, or
+    follow it."""
     scene = bpy.context.scene
     if path.suffix != ".usd":
-        frames_per_second = scene.render.fps / scene.render.fps_base
+        frames_per_second = scene.render.fps / (1.0 if path.suffix == ".fbx" else scene.render.fps_base)
     at = seconds * frames_per_second + (path.suffix == ".bvh")
     scene.frame_set(int(at // 1), subframe=at % 1)
     graph = bpy.context.evaluated_depsgraph_get()
