@@ -20,6 +20,8 @@ def convert(glb: str, fbx: str, frames_per_second: float, frames: int) -> None:
     scene.render.fps = max(1, round(frames_per_second))
     scene.render.fps_base = scene.render.fps / frames_per_second
     bpy.ops.import_scene.gltf(filepath=glb, disable_bone_shape=True)
+    for action in bpy.data.actions:
+        _on_whole_frames(action, frames)
     for thing in scene.objects:
         if thing.type == "ARMATURE":
             _move_root(bpy, thing)
@@ -33,6 +35,20 @@ def convert(glb: str, fbx: str, frames_per_second: float, frames: int) -> None:
         bake_anim_use_all_actions=False,
         bake_anim_simplify_factor=0.0,
     )
+
+
+def _on_whole_frames(action: Any, frames: int) -> None:
+    """Poses go where frames are, which is what FBX gets: the importer of glTF counts by the rounded rate."""
+    bags = [action]  # before Blender 4.4
+    if hasattr(action, "layers"):
+        bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
+    for bag in bags:
+        for curve in bag.fcurves:
+            keys = curve.keyframe_points
+            if len(keys) == frames > 1:
+                for i, key in enumerate(keys):
+                    key.co.x = i
+                curve.update()
 
 
 def _move_root(bpy: Any, armature: Any) -> None:
