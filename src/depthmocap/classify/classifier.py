@@ -243,7 +243,9 @@ class Classifier:
             found = self._label_windows(windows) if windows else [None] * len(places)
             return [self._prediction(shown[place], each) for place, each in zip(places, found, strict=True)]
 
-        twos = _by_twos([item.window for item in shown])
+        of_views = [item.window for item in shown]
+        few = sum(window is not None for window in of_views) <= self._work.threads  # each gets a thread
+        twos = [[place] for place in range(len(shown))] if few else _by_twos(of_views)
         labelled = self._work.map(label, twos)
         by_place = {
             place: prediction
