@@ -66,9 +66,9 @@ class DepthGrid:
         return np.where(outside, -1, rows), np.where(outside, -1, columns)
 
     def inputs(self, samples_m: Float[ndarray, "rows2 columns2"]) -> Float[ndarray, "channels rows columns"]:
-        """The network's input from depth samples (metres)."""
-        out = np.empty((CHANNELS, *self.shape), np.float32)
+        """The network's input from depth samples (metres), of the whole grid or a part of it."""
         turned = np.ascontiguousarray(np.rot90(samples_m, self._turns)) if self._turns else samples_m
+        out = np.empty((CHANNELS, turned.shape[0] // 2, turned.shape[1] // 2), np.float32)
         describe_cells(turned, CELL_FOCAL_PX, FARTHEST_M, out)
         return out
 
@@ -111,7 +111,7 @@ class DepthGrid:
             offsets = np.stack([-down, right, forwards])
         if self._turns:
             logits, offsets = np.rot90(logits, -self._turns), np.rot90(offsets, -self._turns, axes=(1, 2))
-        return np.ascontiguousarray(logits), np.ascontiguousarray(offsets)
+        return np.ascontiguousarray(logits), np.array(offsets, order="C")  # not a part of the outputs
 
 
 def _samples(size: int, focal_px: float) -> tuple[Int[ndarray, " n"], Int[ndarray, " m"]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from depthmocap.errors import InputError
 from depthmocap.geometry import DepthCamera
 from depthmocap.kernels.people_votes import lift_people
 from depthmocap.segment.background import FAR_M
+from depthmocap.segment.closer_look import CloserLook, look_closer
 from depthmocap.segment.depth_grid import CELL_FOCAL_PX, FARTHEST_M, DepthGrid
 
 #: The packaged network.
@@ -47,7 +49,8 @@ class DetectedPeople:
         areas_m2: their surface.
         before: whether they are where the scene was seen empty.
         limit_m: at each sample the depth (metres) from which on it shows the empty scene, 0 where it is unknown.
-        outputs: of the network, for the whole grid.
+        outputs: of the network, for the whole grid, before closer looks.
+        looks: at what was unsure.
     """
 
     grid: DepthGrid
@@ -60,6 +63,7 @@ class DetectedPeople:
     before: Bool[ndarray, " n"]
     limit_m: Float[ndarray, "rows2 columns2"]
     outputs: Float[ndarray, "7 rows columns"]
+    looks: Sequence[CloserLook] = ()
 
 
 class PeopleDetector:
@@ -94,13 +98,17 @@ class PeopleDetector:
                 unknown.
             sure: logit above which such samples show people all the same.
             last: what the camera's last image showed: the network looks again where this one does not show the empty
-                scene, and where that one showed people.
+                scene, and where that one showed people; and closer where no look at what was unsure holds.
         """
         samples_m = grid.samples(depth_m)
         outputs = self._outputs(grid, samples_m, limit_m, last)
         logits, offsets = grid.to_camera(outputs)
         if limit_m is None:
             limit_m = np.zeros_like(samples_m)
+        empty = (limit_m > 0) & (samples_m >= limit_m)
+        looks = look_closer(
+            grid, depth_m, self._run, samples_m, logits, offsets, empty, () if last is None else last.looks
+        )
         count = int(np.count_nonzero(logits > BEFORE_LOGIT))
         indices, areas, before = np.empty(count, np.int64), np.empty(count, np.float32), np.empty(count, np.bool_)
         points, votes = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
@@ -110,7 +118,7 @@ class PeopleDetector:
         )  # fmt: skip
         return DetectedPeople(
             grid, samples_m, logits, indices[:count], points[:count], votes[:count], areas[:count], before[:count],
-            limit_m, outputs,
+            limit_m, outputs, looks,
         )  # fmt: skip
 
     def _outputs(
@@ -127,13 +135,15 @@ class PeopleDetector:
             changed = ~empty | person_mask(last)
             part = grid.part_around(changed, CONTEXT_CELLS, _LARGEST_SHARE)
         if last is None or part is None:
-            return np.asarray(self._session.run(None, {"cells": cells[None]})[0])[0]
+            return self._run(cells)
         outputs = last.outputs.copy()
         rows, columns = part
         if rows.stop > rows.start:
-            seen = np.ascontiguousarray(cells[:, rows, columns])[None]
-            outputs[:, rows, columns] = np.asarray(self._session.run(None, {"cells": seen})[0])[0]
+            outputs[:, rows, columns] = self._run(np.ascontiguousarray(cells[:, rows, columns]))
         return outputs
+
+    def _run(self, cells: Float[ndarray, "channels rows columns"]) -> Float[ndarray, "7 rows columns"]:
+        return np.asarray(self._session.run(None, {"cells": cells[None]})[0])[0]
 
 
 def limits_at(grid: DepthGrid, limit_m: Float[ndarray, "h w"]) -> Float[ndarray, "rows2 columns2"]:

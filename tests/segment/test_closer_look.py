@@ -1,0 +1,89 @@
+"""What may be a person is seen again as from nearer: by a network that knows distances only, and by the packaged one."""
+
+import numpy as np
+import pytest
+
+from depthmocap.geometry import DepthCamera
+from depthmocap.segment.closer_look import look_closer, unsure_region
+from depthmocap.segment.depth_grid import CELL_FOCAL_PX, DepthGrid
+
+#: A wall, and before it something of which the network knows nothing there, but from nearer.
+WALL_M, THING_M = 5.0, 3.0
+
+
+def network(cells: np.ndarray) -> np.ndarray:
+    """Unsure at 3 m, sure at 1.5 m, where it also tells an offset; nobody elsewhere."""
+    depth_m = 2 ** (2 * cells[1] + 1)
+    near, far = np.abs(depth_m - THING_M / 2) < 0.2, np.abs(depth_m - THING_M) < 0.2
+    logits = np.where(near, 5.0, np.where(far, -2.0, -6.0))
+    offsets = np.where(near, np.array([0.1, 0.2, 0.3])[:, None, None], 0.0)
+    return np.concatenate([np.repeat(logits[None], 4, 0), offsets]).astype(np.float32)
+
+
+def scene(turns: int, things: list[tuple[int, int]]) -> tuple[DepthGrid, np.ndarray, np.ndarray]:
+    """A grid, an image with things of 30×40 pixels whose upper left corners these are, and which pixels show them."""
+    grid = DepthGrid(DepthCamera("c", 512, 424, 365.0, 365.0, 255.5, 211.5), turns)
+    depth_m, shown = np.full((424, 512), WALL_M, np.float32), np.zeros((424, 512), np.float32)
+    for v, u in things:
+        depth_m[v : v + 30, u : u + 40] = THING_M
+        shown[v : v + 30, u : u + 40] = 1
+    return grid, depth_m, grid.samples(shown) > 0
+
+
+def look(grid: DepthGrid, depth_m: np.ndarray, last=()):
+    samples_m = grid.samples(depth_m)
+    logits, offsets = grid.to_camera(network(grid.inputs(samples_m)))
+    empty = np.zeros(samples_m.shape, bool)
+    return logits, offsets, look_closer(grid, depth_m, network, samples_m, logits, offsets, empty, last)
+
+
+@pytest.mark.parametrize("turns", [0, 1, 2, 3])
+@pytest.mark.parametrize("place", [(200, 300), (2, 470), (390, 0)])
+def test_what_is_unsure_is_seen_from_nearer_where_it_is(turns, place):
+    grid, depth_m, shown = scene(turns, [place])
+    logits, offsets, looks = look(grid, depth_m)
+    assert len(looks) == 1
+    # Cells at a rim mix the thing with the wall.
+    inside = shown.copy()
+    for axis in (0, 1):
+        for shift in (-2, -1, 1, 2):
+            inside &= np.roll(shown, shift, axis)
+    assert inside.sum() > 20
+    assert (logits[inside] > 4).all()
+    assert (logits[~shown & (grid.samples(depth_m) > 4)] < -3).all()
+    expected = grid.to_camera(np.ones((7, 8, 8), np.float32) * np.array([0, 0, 0, 0, 0.1, 0.2, 0.3])[:, None, None])[1]
+    cells = inside[::2, ::2] & inside[1::2, 1::2]
+    np.testing.assert_allclose(offsets[:, cells], np.broadcast_to(expected[:, :1, 0], (3, cells.sum())), atol=1e-5)
+
+
+def test_one_region_an_image_is_looked_at_and_looks_hold_while_nothing_changes():
+    things = [(200, 300), (100, 100)]
+    grid, depth_m, shown = scene(0, things)
+    looks, sure = (), []
+    for _ in range(6):
+        logits, _, looks = look(grid, depth_m, looks)
+        sure.append(int((logits[shown] > 4).sum()))
+    assert sure[0] < 0.6 * sure[1]
+    assert sure[1:5] == [sure[1]] * 4
+    moved = depth_m.copy()
+    moved[depth_m == THING_M] = THING_M - 0.1
+    assert all(not held.holds(grid.samples(moved)) for held in looks)
+
+
+def test_nothing_is_looked_at_where_all_is_sure_small_near_or_empty():
+    samples_m = np.full((96, 96), 3.0, np.float32)
+    nothing = np.zeros(samples_m.shape, bool)
+
+    def region(logit: float, cells: slice, depth_m: float = 3.0, empty: np.ndarray = nothing):
+        logits = np.full(samples_m.shape, -6.0, np.float32)
+        logits[cells, cells] = logit
+        return unsure_region(samples_m * depth_m / 3, logits, empty)
+
+    some = slice(20, 40)
+    assert region(-2.0, some) is not None
+    assert region(-6.0, some) is None
+    assert region(5.0, some) is None
+    assert region(-2.0, slice(20, 24)) is None
+    assert (4 * 3 / (2 * CELL_FOCAL_PX)) ** 2 < 0.02
+    assert region(-2.0, some, depth_m=0.8) is None
+    assert region(-2.0, some, empty=~nothing) is None
