@@ -1,4 +1,4 @@
-"""What may be a person is seen again as from nearer: by a network that knows distances only, and by the packaged one."""
+"""What may be a person is seen again as from nearer, by a network that knows distances only."""
 
 import numpy as np
 import pytest

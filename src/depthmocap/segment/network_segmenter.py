@@ -214,16 +214,17 @@ class NetworkSegmenter:
     def _detect(
         self, view: View, depth_m: ndarray, grid: DepthGrid, limit_m: Float[ndarray, "h w"] | None
     ) -> DetectedPeople:
-        if limit_m is None:
-            return self._detector(grid, depth_m)
         name = view.camera.name
-        if name not in self._limits or self._limits[name][0] is not limit_m:
-            self._limits[name] = limit_m, limits_at(grid, limit_m)
         last, parts = self._last.get(name, (None, 0))
         if last is None or last.grid is not grid or parts >= _WHOLE_EVERY:
             last, parts = None, 0
+        limit_at_samples_m = None
+        if limit_m is not None:
+            if name not in self._limits or self._limits[name][0] is not limit_m:
+                self._limits[name] = limit_m, limits_at(grid, limit_m)
+            limit_at_samples_m = self._limits[name][1]
         sure = np.inf if name in self._known else SURE_LOGIT
-        detected = self._detector(grid, depth_m, self._limits[name][1], sure, last)
+        detected = self._detector(grid, depth_m, limit_at_samples_m, sure, last)
         self._last[name] = detected, parts + 1
         return detected
 
