@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from depthmocap.segment.depth_grid import CHANNELS
 
 #: Channels at cells, and at cells two, four and eight times as wide.
-WIDTHS = (16, 24, 48, 64)
+WIDTHS = (16, 24, 48, 96)
 #: Outputs of a cell: logits of its 2×2 samples, and the offset to the centre of the person (metres).
 OUTPUTS = 7
 
