@@ -281,7 +281,8 @@ def table(numbers: dict[str, Any]) -> Table:
             f"{stream['packets_per_second']:.2f}; {stream['everybody_share']:.1%}")  # fmt: skip
     most, growth = memory["mb_most"], memory["mb_a_minute"]
     row("memory, most", f"{most:.0f} MB", f"≤ {MEMORY_GOAL_MB:g}", most <= MEMORY_GOAL_MB)
-    row("… at the end; growth over the later half", f"{memory['mb_at_the_end']:.0f} MB; {growth:+.2f} MB a minute")
+    a_minute = "–" if growth is None else f"{growth:+.2f} MB a minute"
+    row("… at the end; growth over the later half", f"{memory['mb_at_the_end']:.0f} MB; {a_minute}")
     if (start := numbers["start_s"]) is not None:
         row("start", f"{start:.2f} s", f"≤ {START_GOAL_S:g}", start <= START_GOAL_S)
     row("cores: live; cameras", f"{numbers['cores']['live']:.2f}; {numbers['cores']['cameras']:.2f}")
