@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import sys
 import threading
 from typing import Any
 
@@ -156,13 +155,6 @@ def test_changes_are_made_between_two_sets(virtual: Any) -> None:
     begun, ended = (sum(kind == what for kind, _ in pipeline.events[:place]) for what in ("label", "estimated"))
     assert begun == ended == 7  # nothing was under way
     assert len(pipeline.events) == count  # whoever leaves has waited for what was
-
-
-def test_python_takes_turns_sooner_while_a_capture_runs(virtual: Any) -> None:
-    before = sys.getswitchinterval()
-    with capture_of(virtual, fake_pipeline(), 1.0, overlap=True):
-        assert sys.getswitchinterval() < before
-    assert sys.getswitchinterval() == before
 
 
 def test_calls_are_made_when_asked_for_and_not_before() -> None:

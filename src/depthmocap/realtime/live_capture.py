@@ -6,7 +6,6 @@ import contextlib
 import dataclasses
 import functools
 import queue
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -40,9 +39,6 @@ from depthmocap.streaming.stream_protocol import Marker, Stream, StreamSetup
 
 #: If making the pipeline takes longer (seconds), a message says so.
 SLOW_S = 2.0
-#: After so long (seconds) Python takes turns between threads. By its usual 5 ms a stage that comes out of a network or
-#: a kernel waits as long for a thread that draws or sends.
-_SWITCH_S = 0.0005
 #: Where so many sets in a row were there before anybody was free for them, the machine is late: people are labelled in
 #: some of the views that see them, in other ones in the next set,
 _BEHIND = 3
@@ -149,7 +145,6 @@ class LiveCapture:
         self._sparing_until_s, self._spared, self._held_s = 0.0, 0, 0.0
         self._between_sets: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._overlap = usable_cores() > 1 if overlap is None else overlap
-        self._switch_s = sys.getswitchinterval()
 
     @property
     def recorded_minus_timestamp_ns(self) -> int | None:
@@ -174,7 +169,6 @@ class LiveCapture:
             with announce_if_slow(slow, self._tell):
                 people = compile_pipeline(self._make_pipeline).segment.people
         self.reader.start(self._tell)
-        sys.setswitchinterval(min(self._switch_s, _SWITCH_S))
         try:
             check_extrinsics(self.reader.cameras.values())
         except InputError:
@@ -184,7 +178,6 @@ class LiveCapture:
         return self
 
     def __exit__(self, *failure: object) -> None:
-        sys.setswitchinterval(self._switch_s)
         if self._timer is not None:
             self._timer.cancel()
         self.reader.stop()
