@@ -84,6 +84,7 @@ def _calibration() -> dict[str, Any]:
     return {
         "calibration": [{**row, "scene": scene} for scene in ("3 cameras", "4 cameras", "2 cameras, 90° apart")],
         "sync": [*simulated, *depth],
+        "sync_30_hz": simulated,
     }
 
 

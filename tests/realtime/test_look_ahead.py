@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from camera_simulator import SimulatedCamera, Simulation
-from fakes import Board, FakeClassifier, FakeEstimator, fake_pipeline
+from fakes import Board, FakeClassifier, FakeEstimator
 
 from depthmocap.calibration.rig_watch import RigWatch
 from depthmocap.cameras.source import DepthFrame
