@@ -15,6 +15,7 @@ from depthmocap.evaluate.compare import Comparison, compare
 from depthmocap.evaluate.evaluation_report import Outputs, write_outputs
 from depthmocap.exporting.file_settings import FileSettings
 from depthmocap.exporting.summary import Take, make_summary, write_summary
+from depthmocap.frames import expected_error_m
 from depthmocap.report.metrics import joint_errors_cm, joint_metrics, joint_numbers, reliability
 
 QUIET = Console(quiet=True)
@@ -126,7 +127,8 @@ def test_files_of_an_evaluation(tmp_path):
     assert document["none"]["mean_joint_error_cm"] is None
     assert document["seen"]["reliability"] == {
         "confidence": [0.75], "within_10cm": [1.0], "beyond_20cm": [0.0], "joints": [72],
-        "error_cm": [4.0], "expected_error_cm": [9.0], "calibration_error": 0.25,
+        "error_cm": [4.0], "expected_error_cm": [pytest.approx(100 * expected_error_m(np.array([0.75]))[0])],
+        "calibration_error": 0.25,
     }  # fmt: skip
     rows = list(csv.reader(table.read_text().splitlines()))
     assert rows[1] == ["seen", "Head", "4.0000", "0.0000", "1.0000"]
