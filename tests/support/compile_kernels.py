@@ -6,6 +6,8 @@ import itertools
 
 import numpy as np
 
+from depthmocap.exporting.body_motion import solve_body
+from depthmocap.exporting.timeline import timeline
 from depthmocap.geometry import DepthCamera
 from depthmocap.offline.pipeline_settings import PipelineSettings, load_pipeline
 from depthmocap.recordings.open_recording import open_recording, packaged_recording
@@ -19,8 +21,8 @@ def _compile_capture() -> None:
     recording = open_recording(packaged_recording())
     for settings in (PipelineSettings(), PipelineSettings(segment="background", estimator="ridge")):
         pipeline = load_pipeline(recording, settings)
-        for frames in itertools.islice(recording, 3):
-            pipeline(frames)
+        poses = [pipeline(frames).pose for frames in itertools.islice(recording, 3)]
+    solve_body(timeline(poses, recording.up))
 
 
 def _compile_data_engine() -> None:

@@ -24,8 +24,10 @@ SCHEMA = 1
 #: Largest number of characters of a name or a marker.
 LONGEST_NAME = 100
 EditKind = Literal["name", "join", "split", "exchange", "delete", "trim"]
-#: What a table has of every row.
-_ARRAYS = ("stamps_ns", "times_s", "joints", "confidence", "points", "points_confidence")
+#: What a table has of every row: of joints and points,
+_OF_JOINTS = ("joints", "confidence", "points", "points_confidence")
+#: and all of it.
+_ARRAYS = ("stamps_ns", "times_s", *_OF_JOINTS)
 #: Largest absolute value of a timestamp (ns).
 _MOST_NS = 2**63 - 1
 
@@ -227,12 +229,7 @@ def _apply_split(state: EditedPeople, edit: Edit, where: str) -> EditedPeople:
 
 def _apply_exchange(state: EditedPeople, edit: Edit, where: str) -> EditedPeople:
     table = _table(state, edit.person, where)
-    mirrors = {
-        "joints": MIRROR,
-        "confidence": MIRROR,
-        "points": POINT_MIRROR,
-        "points_confidence": POINT_MIRROR,
-    }
+    mirrors: dict[str, ndarray] = dict(zip(_OF_JOINTS, (MIRROR, MIRROR, POINT_MIRROR, POINT_MIRROR), strict=True))
     assert edit.person is not None
     exchanged = _changed(table, edit, lambda key, array: array[:, mirrors[key]])
     return _with(state, {edit.person: exchanged})
@@ -241,7 +238,7 @@ def _apply_exchange(state: EditedPeople, edit: Edit, where: str) -> EditedPeople
 def _changed(table: PoseTable, edit: Edit, change: Callable[[str, ndarray], ndarray | float]) -> PoseTable:
     """The table with joints, points and their confidences, where there are any, changed within the edit's time."""
     within = _within(table, edit)
-    arrays = {key: getattr(table, key) for key in ("joints", "confidence", "points", "points_confidence")}
+    arrays = {key: getattr(table, key) for key in _OF_JOINTS}
     changed = {
         key: np.where(within.reshape(-1, *[1] * (array.ndim - 1)), change(key, array), array)
         for key, array in arrays.items()

@@ -101,11 +101,12 @@ class PeopleDetector:
                 scene, and where that one showed people; and closer where no look at what was unsure holds.
         """
         samples_m = grid.samples(depth_m)
-        outputs = self._outputs(grid, samples_m, limit_m, last)
-        logits, offsets = grid.to_camera(outputs)
+        in_part = None if limit_m is None else last
         if limit_m is None:
             limit_m = np.zeros_like(samples_m)
         empty = (limit_m > 0) & (samples_m >= limit_m)
+        outputs = self._outputs(grid, samples_m, empty, in_part)
+        logits, offsets = grid.to_camera(outputs)
         looks = look_closer(
             grid, depth_m, self._run, samples_m, logits, offsets, empty, () if last is None else last.looks
         )
@@ -125,14 +126,13 @@ class PeopleDetector:
         self,
         grid: DepthGrid,
         samples_m: Float[ndarray, "rows2 columns2"],
-        limit_m: Float[ndarray, "rows2 columns2"] | None,
+        empty: Bool[ndarray, "rows2 columns2"],
         last: DetectedPeople | None,
     ) -> Float[ndarray, "7 rows columns"]:
         """The network's outputs for the whole grid, where it need not look again those of the last image."""
         cells, part = grid.inputs(samples_m), None
-        if last is not None and limit_m is not None:
-            empty = (samples_m <= 0) | ((samples_m >= limit_m) & (limit_m > 0))
-            changed = ~empty | person_mask(last)
+        if last is not None:
+            changed = ~(empty | (samples_m <= 0)) | person_mask(last)
             part = grid.part_around(changed, CONTEXT_CELLS, _LARGEST_SHARE)
         if last is None or part is None:
             return self._run(cells)
