@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from depthmocap.classify.classifier import Classifier, packaged_weights
 from depthmocap.classify.window import make_paper_window
@@ -110,8 +112,29 @@ def test_a_camera_on_its_side_costs_nothing(default_body: Body) -> None:
         assert prediction.labels.shape == hung.depth_m.shape
         assert (np.rot90(prediction.labels, -quarters) == expected.labels)[upright.mask].mean() > 0.99
         np.testing.assert_allclose(prediction.joints, expected.joints, atol=0.01)
-        (as_it_stands,) = classifier.label_views([hung], [hung.mask])
-        assert (as_it_stands.labels == prediction.labels)[hung.mask].mean() < 0.9
+
+
+@pytest.mark.parametrize("roll_deg", [70, -120, 180])
+def test_who_lies_or_is_upside_down_is_seen_upright(
+    default_body: Body, roll_deg: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without any word of what is up, and by any angle: as well as by an upright camera, which one look does not do."""
+    posture = PosturePrior.load().sample(np.random.default_rng(0))[0]
+
+    def share_right(camera: DepthCamera) -> float:
+        depth, labels = render_body(default_body.pose(posture), camera)
+        mask = labels > 0
+        (prediction,) = Classifier(threads=1).label_views([View(camera, depth)], [mask])
+        return float((prediction.labels == labels)[mask].mean())
+
+    pose = POSE.copy()
+    pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec([0, 0, np.radians(roll_deg)]).as_matrix()
+    askew = dataclasses.replace(CAMERA, world_from_camera=pose)
+    upright, seen = share_right(CAMERA), share_right(askew)
+    assert seen > upright - 0.02
+    monkeypatch.setattr("depthmocap.classify.classifier.trunk_lean", lambda joints: 0.0)
+    assert share_right(askew) < seen - 0.02
+    assert share_right(CAMERA) == upright
 
 
 def test_the_packaged_network_is_ours() -> None:

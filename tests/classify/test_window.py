@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from depthmocap.classify.window import DEPTH_SCALE_M, MIN_PIXELS, PERSON, PIXEL_M, WINDOW, WINDOW_STEP, make_window
 from depthmocap.geometry import DepthCamera, look_at
@@ -202,11 +203,51 @@ def test_stray_pixels_do_not_change_the_window(default_body: Body) -> None:
     assert window.inputs[1].sum() > 0.98 * (window.labels_from_image(labels) > 0).sum()
 
 
+@pytest.mark.parametrize("turn_rad", [0.6, -2.2, np.pi])
+def test_a_turned_window_is_that_of_a_camera_turned_about_its_axis(default_body: Body, turn_rad: float) -> None:
+    upright = dataclasses.replace(camera_at(2.2), width=600, height=600, cx=299.5, cy=299.5)
+    pose = upright.world_from_camera.copy()
+    pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec([0, 0, turn_rad]).as_matrix()
+    askew = dataclasses.replace(upright, world_from_camera=pose)
+    depth, labels = picture(default_body, upright)
+    turned = make_window(depth, labels > 0, upright, turn_rad)
+    depth_askew, labels_askew = picture(default_body, askew)
+    seen = make_window(depth_askew, labels_askew > 0, askew)
+    assert turned is not None and seen is not None
+    assert turned.step == pytest.approx(seen.step, rel=0.02)
+    assert turned.inputs.shape == seen.inputs.shape
+    points = np.random.default_rng(0).uniform(-0.6, 0.6, (50, 3))
+    np.testing.assert_allclose(
+        turned.positions_from_world(points, upright), seen.positions_from_world(points, askew), atol=0.02
+    )
+    masks = [window.inputs[1] > 0 for window in (turned, seen)]
+    assert (masks[0] & masks[1]).sum() > 0.93 * (masks[0] | masks[1]).sum()
+    here, there = turned.labels_from_image(labels), seen.labels_from_image(labels_askew)
+    assert (here == there)[masks[0] & masks[1]].mean() > 0.9
+
+
+@pytest.mark.parametrize("turn_rad", [0.6, -2.2])
+def test_labels_come_back_from_a_turned_window(default_body: Body, turn_rad: float) -> None:
+    camera = camera_at(4.0)  # so far that window pixels are smaller than the picture's
+    depth, labels = picture(default_body, camera)
+    window = make_window(depth, labels > 0, camera, turn_rad)
+    assert window is not None
+    in_window = window.labels_from_image(labels)
+    back, confidence = window.labels_to_image(in_window, full_confidence(in_window), labels > 0)
+    inside = (labels > 0) & (back > 0)
+    assert inside.sum() > 0.98 * (labels > 0).sum()
+    assert (back == labels)[inside].mean() > 0.98
+    np.testing.assert_array_equal(confidence > 0, labels > 0)
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 1.1])
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (0.1, -0.05, 0.001, -0.002, 0.01)])
-def test_places_there_and_back(default_body: Body, distortion: tuple[float, float, float, float, float]) -> None:
+def test_places_there_and_back(
+    default_body: Body, distortion: tuple[float, float, float, float, float], turn_rad: float
+) -> None:
     camera = dataclasses.replace(camera_at(2.2), distortion=distortion)
     depth, labels = picture(default_body, camera)
-    window = make_window(depth, labels > 0, camera)
+    window = make_window(depth, labels > 0, camera, turn_rad)
     assert window is not None
     rng = np.random.default_rng(0)
     points = rng.uniform(-0.6, 0.6, (50, 3))

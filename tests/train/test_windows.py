@@ -10,10 +10,11 @@ import pytest
 
 from depthmocap.body.regions import REGION, UNLABELLED
 from depthmocap.body.skeleton import JOINT_INDEX
+from depthmocap.body.trunk import trunk_lean
 from depthmocap.classify.window import DEPTH_SCALE_M, PIXEL_M, WINDOW
 from depthmocap.errors import InputError
 from depthmocap.synth.body.mesh import BodyModel
-from depthmocap.synth.motion.postures import TRAINING_VARIATION, PosturePrior
+from depthmocap.synth.motion.postures import TRAINING_VARIATION, PosturePrior, Variation
 from depthmocap.synth.sensing.sensors import SENSORS
 from depthmocap.train import windows as data
 from depthmocap.train.windows import Degradations, training_window
@@ -69,6 +70,18 @@ def test_depends_on_seed_and_index_alone(windows: list[data.LabelledWindow]) -> 
             np.testing.assert_array_equal(array, same)
     assert not np.array_equal(window(3, seed=1)[1], windows[3][1])
     assert not np.array_equal(windows[4][1], windows[3][1])
+
+
+def test_who_does_not_stand_is_mostly_seen_upright_too(body_model: BodyModel) -> None:
+    """As the classifier turns their windows; the others as cameras see them."""
+    tilted = Variation(tilt=1.0)
+    postures = PosturePrior.load(variation=tilted)
+    leans = np.array([
+        trunk_lean(training_window(0, index, "open", postures, NEVER).joints)
+        for index in range(0, 40 * data._WINDOWS_PER_PERSON, data._WINDOWS_PER_PERSON)
+    ])  # fmt: skip
+    upright = (np.abs(leans) < data._LEANING_RAD).mean()
+    assert 0.6 < upright < 0.97
 
 
 @functools.cache

@@ -30,3 +30,13 @@ def front_of_trunk(joints: Float[ndarray, "n 18 3"]) -> Float[ndarray, "n 3"]:
 
 def _unit(vectors: Float[ndarray, "n 3"]) -> Float[ndarray, "n 3"]:
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def trunk_lean(joints: Float[ndarray, "18 3"]) -> float:
+    """Angle in the picture from its up direction to that from hips to neck, clockwise, radians from -π to π.
+
+    Args:
+        joints: in the camera's frame or the window's: right, down, away from the camera.
+    """
+    right, down = (joints[_NECK] - joints[_HIP])[:2]
+    return float(np.arctan2(right, -down))

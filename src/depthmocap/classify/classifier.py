@@ -15,9 +15,9 @@ from numpy import ndarray
 from depthmocap.body.regions import MIRROR as MIRRORED_REGIONS
 from depthmocap.body.regions import REGION_NAMES, TURNED
 from depthmocap.body.skeleton import JOINTS, MIRROR
-from depthmocap.body.trunk import front_of_trunk
+from depthmocap.body.trunk import front_of_trunk, trunk_lean
 from depthmocap.classify.front import FrontNetwork, front_of_labels, log_odds
-from depthmocap.classify.window import WINDOW_MAKERS, Window, WindowMaker
+from depthmocap.classify.window import WINDOW_MAKERS, Window, WindowMaker, make_window
 from depthmocap.core.onnx_session import open_network
 from depthmocap.core.shared_work import SharedWork
 from depthmocap.errors import InputError
@@ -52,6 +52,12 @@ _SURE_LOG_ODDS = 5.0
 _PRIOR_LOG_ODDS = 0.5
 #: The second network is so much less sure on people whom it was not trained on.
 _CALIBRATION = 0.85
+#: Somebody whose trunk leans by more than this in the picture is seen again, upright (radians),
+_LYING_RAD = 0.8
+#: and by more than this, where the labels are unsure (radians):
+_LEANING_RAD = 0.35
+#: of a mean probability below this, which hardly any are of people who stand.
+_SURE_OF_LABELS = 0.7
 
 
 def packaged_weights() -> Path:
@@ -121,6 +127,11 @@ class _Shown:
     window: Window | None
 
 
+def mean_probability(prediction: WindowPrediction) -> float:
+    """Of the labels of a window; 0 without any."""
+    return float(prediction.confidence.sum()) / max(int(np.count_nonzero(prediction.labels)), 1)
+
+
 def _no_joints() -> Float[ndarray, "18 4"]:
     return np.full((len(JOINTS), 4), np.nan)
 
@@ -128,6 +139,7 @@ def _no_joints() -> Float[ndarray, "18 4"]:
 class Classifier:
     """A trained body-part classifier: depth in, region and probability of every pixel out (paper, Sec. IV-A).
 
+    Somebody whose trunk does not point up in the picture is seen again in a window that is turned so that it does.
     Labels that take a back for a front, or a front for a back, are turned round (``FrontNetwork``).
 
     Views are labelled in parallel, each by one thread from the depth image to the labels, or two at once where there
@@ -168,10 +180,6 @@ class Classifier:
         self._front = FrontNetwork() if fronts and self.predicts_joints else None
         self._work = SharedWork(threads)
 
-    def label_window(self, window: Window) -> WindowPrediction:
-        """The prediction for a window; labels are 0 outside the person."""
-        return self._label_windows([window])[0]
-
     def _label_windows(self, windows: Sequence[Window]) -> list[WindowPrediction]:
         """The predictions for windows of one size by one run of the network, each as if it were alone."""
         inputs = windows[0].inputs[None] if len(windows) == 1 else np.stack([window.inputs for window in windows])
@@ -185,8 +193,22 @@ class Classifier:
             else:
                 self._read(outputs[0][i], mask, labels, confidence)
             joints = outputs[1][i].astype(np.float64) if self.predicts_joints else _no_joints()
-            predictions.append(self._with_front(WindowPrediction(labels, confidence, joints), window))
+            predictions.append(WindowPrediction(labels, confidence, joints))
         return predictions
+
+    def _with_trunk_up(
+        self, view: View, mask: Bool[ndarray, "_ _"], window: Window, prediction: WindowPrediction
+    ) -> tuple[Window, WindowPrediction]:
+        """The window of a view and the prediction for it; where its joints tell that the trunk does not point up, those
+        for a window that is turned so that it does, if their labels are surer. The network knows people best who are
+        upright in their window, and tells from any how they lie."""
+        probability, lean = mean_probability(prediction), trunk_lean(prediction.joints[:, :3])
+        if not abs(lean) > (_LEANING_RAD if probability < _SURE_OF_LABELS else _LYING_RAD):
+            return window, prediction  # also for a network without joints, whose lean is NaN
+        turned = make_window(view.depth_m, mask, view.camera, lean)
+        assert turned is not None  # as the window before
+        (of_turned,) = self._label_windows([turned])
+        return (turned, of_turned) if mean_probability(of_turned) > probability else (window, prediction)
 
     def _with_front(self, prediction: WindowPrediction, window: Window) -> WindowPrediction:
         """The prediction with the log odds of its front, and turned round where these say so."""
@@ -204,15 +226,17 @@ class Classifier:
     def label_mask(self, view: View, mask: Bool[ndarray, "_ _"]) -> LabelledMask:
         """The prediction for a view, without turning the image upright."""
         window = self.make_window(view.depth_m, mask, view.camera)
-        return self._labelled(view, mask, window, None if window is None else self.label_window(window))
+        return self._labelled(view, mask, window, None if window is None else self._label_windows([window])[0])
 
     def _labelled(
         self, view: View, mask: Bool[ndarray, "_ _"], window: Window | None, found: WindowPrediction | None
     ) -> LabelledMask:
-        """The prediction for a view from that for its window."""
+        """The prediction for a view from the network's for its window."""
         if window is None or found is None:
             empty = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
             return LabelledMask(ViewPrediction(*empty, _no_joints()), None, None)
+        window, found = self._with_trunk_up(view, mask, window, found)
+        found = self._with_front(found, window)
         labels, confidence = window.labels_to_image(found.labels, found.confidence, mask)
         joints = found.joints
         if self.predicts_joints:
@@ -258,7 +282,7 @@ class Classifier:
         self, view: View, mask: Bool[ndarray, "_ _"], up_world: Float[ndarray, "3"] | None
     ) -> ViewPrediction:
         shown = self._show_upright(view, mask, up_world)
-        return self._prediction(shown, None if shown.window is None else self.label_window(shown.window))
+        return self._prediction(shown, None if shown.window is None else self._label_windows([shown.window])[0])
 
     def _show_upright(self, view: View, mask: Bool[ndarray, "_ _"], up_world: Float[ndarray, "3"] | None) -> _Shown:
         quarters = 0 if up_world is None else view.camera.quarters_upright(up_world)

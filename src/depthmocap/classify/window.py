@@ -9,6 +9,7 @@ paper's network has the paper's window.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Literal
 
@@ -20,7 +21,13 @@ from PIL import Image
 from depthmocap.geometry.depth_camera import DepthCamera
 from depthmocap.geometry.transforms import transform_points
 from depthmocap.kernels.box import bounding_box
-from depthmocap.kernels.resample_window import gather_depth, gather_labels, mark_supported, scatter_labels
+from depthmocap.kernels.resample_window import (
+    gather_depth,
+    gather_labels,
+    mark_supported,
+    scatter_labels,
+    turned_extents,
+)
 
 #: Longer side of the window (pixels).
 WINDOW = 192
@@ -62,6 +69,10 @@ class Window:
     Window pixel (i, j) shows the image pixel ``(top + (i + 0.5)·step, left + (j + 0.5)·step)``, rounded down. Our
     window also has the depth of its centre and the size of its pixels there (metres). They make positions in the window
     metric: right, down and forwards of the centre.
+
+    Attributes:
+        turn_rad: angle by which the window is turned clockwise against the image, as a camera that is turned about its
+            axis sees it; ``left`` and ``top`` are in the turned image (``kernels.resample_window``).
     """
 
     inputs: Float[ndarray, "c h w"]
@@ -70,28 +81,37 @@ class Window:
     step: float
     centre_m: float = float("nan")
     pixel_m: float = float("nan")
+    turn_rad: float = 0.0
+
+    @property
+    def _turn(self) -> tuple[float, float]:
+        return math.cos(self.turn_rad), math.sin(self.turn_rad)
 
     def positions_from_world(self, points_world: Float[ndarray, "n 3"], camera: DepthCamera) -> Float[ndarray, "n 3"]:
         """Positions of world points in our window (metres); NaN for points behind the camera."""
         u, v, z = camera.project(points_world).T
         height, width = self.inputs.shape[1:]
-        right = ((u + 0.5 - self.left) / self.step - width / 2) * self.pixel_m
-        down = ((v + 0.5 - self.top) / self.step - height / 2) * self.pixel_m
+        cosine, sine = self._turn
+        u, v = cosine * (u + 0.5) + sine * (v + 0.5), cosine * (v + 0.5) - sine * (u + 0.5)
+        right = ((u - self.left) / self.step - width / 2) * self.pixel_m
+        down = ((v - self.top) / self.step - height / 2) * self.pixel_m
         return np.stack([right, down, z - self.centre_m], -1)
 
     def positions_to_world(self, positions: Float[ndarray, "n 3"], camera: DepthCamera) -> Float[ndarray, "n 3"]:
         """World points (metres) of positions in our window."""
         height, width = self.inputs.shape[1:]
-        u = (positions[:, 0] / self.pixel_m + width / 2) * self.step + self.left - 0.5
-        v = (positions[:, 1] / self.pixel_m + height / 2) * self.step + self.top - 0.5
-        rays = camera.rays_through(np.stack([u, v], -1).astype(np.float64))
+        u = (positions[:, 0] / self.pixel_m + width / 2) * self.step + self.left
+        v = (positions[:, 1] / self.pixel_m + height / 2) * self.step + self.top
+        cosine, sine = self._turn
+        pixels = np.stack([cosine * u - sine * v - 0.5, sine * u + cosine * v - 0.5], -1)
+        rays = camera.rays_through(pixels.astype(np.float64))
         z = positions[:, 2:] + self.centre_m
         return transform_points(camera.world_from_camera, np.concatenate([rays * z, z], -1))
 
     def labels_from_image(self, labels: UInt8[ndarray, "_ _"], fill: int = 0) -> UInt8[ndarray, "h w"]:
         """The window's labels from an image of labels; ``fill`` outside the image."""
         out = np.full(self.inputs.shape[1:], fill, dtype=np.uint8)
-        gather_labels(labels, self.left, self.top, self.step, out)
+        gather_labels(labels, self.left, self.top, self.step, self._turn, out)
         return out
 
     def labels_to_image(
@@ -100,11 +120,15 @@ class Window:
         """The image's labels and confidences from those of the window at the masked pixels, 0 elsewhere."""
         out_labels = np.zeros(mask.shape, dtype=np.uint8)
         out_confidence = np.zeros(mask.shape, dtype=np.float32)
-        scatter_labels(labels, confidence, mask, self.left, self.top, self.step, out_labels, out_confidence)
+        scatter_labels(
+            labels, confidence, mask, self.left, self.top, self.step, self._turn, out_labels, out_confidence
+        )  # fmt: skip
         return out_labels, out_confidence
 
 
-def make_window(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], camera: DepthCamera) -> Window | None:
+def make_window(
+    depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], camera: DepthCamera, turn_rad: float = 0.0
+) -> Window | None:
     """The person's window; None if the mask contains no person.
 
     ``inputs`` (3, h, w) are relative depth, mask and log2 of the pixel size. The longer side has 192 pixels, the other
@@ -113,6 +137,7 @@ def make_window(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], came
     Args:
         depth_m: metres along z.
         mask: the person's pixels; pixels without depth and flying pixels are left out.
+        turn_rad: as of ``Window``.
     """
     box = bounding_box(mask)
     if box is None:
@@ -124,10 +149,9 @@ def make_window(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], came
     depths = depth[solid]
     if len(depths) < MIN_PIXELS:
         return None
-    rows, columns = bounding_box(solid) or box
     corner = box[0].start, box[1].start
-    top, bottom = corner[0] + rows.start, corner[0] + rows.stop
-    left, right = corner[1] + columns.start, corner[1] + columns.stop
+    turn = math.cos(turn_rad), math.sin(turn_rad)
+    left, top, right, bottom = turned_extents(solid, corner, turn)
     centre_m = float(np.median(depths))
     step = max(bottom - top, right - left) / PERSON
     # On real images a silhouette that touches the window's border costs 2 % of the labels at joints.
@@ -136,10 +160,10 @@ def make_window(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], came
     x0 = (left + right) / 2 - width / 2 * step
     y0 = (top + bottom) / 2 - height / 2 * step
     inputs = np.zeros((3, height, width), dtype=np.float32)
-    gather_depth(depth, solid, corner, x0, y0, step, centre_m, DEPTH_SCALE_M, inputs)
+    gather_depth(depth, solid, corner, x0, y0, step, turn, centre_m, DEPTH_SCALE_M, inputs)
     pixel_m = float(centre_m * step / camera.fx)
     inputs[2] = np.log2(pixel_m / PIXEL_M)
-    return Window(inputs, float(x0), float(y0), float(step), centre_m, pixel_m)
+    return Window(inputs, float(x0), float(y0), float(step), centre_m, pixel_m, turn_rad)
 
 
 def make_paper_window(depth_m: Float[ndarray, "h w"], mask: Bool[ndarray, "h w"], camera: DepthCamera) -> Window | None:

@@ -144,6 +144,7 @@ class Recipe:
         cut: the part of the body is hidden that lies below the knees, thighs, hips or chest, above the waist or the
             neck, to one side, or beyond an edge of the picture; "any" for all of these in turn.
         cut_share: share of the people who are cut off.
+        overhead: share of the people whom all cameras see from overhead.
     """
 
     subset: Subset = "hard"
@@ -162,6 +163,7 @@ class Recipe:
     family: Family | None = None
     cut: Cut | Literal["any"] | None = None
     cut_share: float = 1.0
+    overhead: float = 0.0
 
     def __post_init__(self) -> None:
         for option, value, known in (
@@ -171,8 +173,9 @@ class Recipe:
         ):  # fmt: skip
             if value not in known:
                 raise InputError(f"--{option} takes {', '.join(filter(None, known))}, got {value!r}")
-        if not 0 <= self.cut_share <= 1:
-            raise InputError(f"--cut-share must be from 0 to 1, got {self.cut_share}")
+        for option, share in (("cut-share", self.cut_share), ("overhead", self.overhead)):
+            if not 0 <= share <= 1:
+                raise InputError(f"--{option} must be from 0 to 1, got {share}")
         if self.views < 1:
             raise InputError(f"--views must be at least 1, got {self.views}")
         if not self.sensors:
@@ -190,6 +193,8 @@ class Recipe:
         return tuple(dict.fromkeys(preset for presets in named for preset in presets))
 
 
+#: Cameras that look down on somebody from the ceiling.
+_OVERHEAD = CameraRange(distance_m=(0.5, 1.5), height_m=(2.3, 3.5), roll_rad=0.03, steepest_deg=90.0)
 _BENCH = Recipe(
     "open", "test", sensors=(ANY_SENSOR,), noise="sensor", cameras=CameraRange(roll_rad=0.03), wardrobe="indoors"
 )
@@ -204,9 +209,7 @@ BENCH: dict[str, Recipe] = {
     "hands on body": dataclasses.replace(_BENCH, hands_on_body=True),
     "floor": dataclasses.replace(_BENCH, family="floor"),
     "acrobatic": dataclasses.replace(_BENCH, family="acrobatic"),
-    "overhead": dataclasses.replace(
-        _BENCH, cameras=CameraRange(distance_m=(0.5, 1.5), height_m=(2.3, 3.5), roll_rad=0.03, steepest_deg=90.0)
-    ),
+    "overhead": dataclasses.replace(_BENCH, cameras=_OVERHEAD),
     **{f"cut {cut}": dataclasses.replace(_BENCH, cut=cut) for cut in CUTS},
 }
 
@@ -252,9 +255,8 @@ def draw_sample(rng: np.random.Generator, recipe: Recipe, postures: PostureSourc
     dressed = random_dressed_body(rng, recipe.subset, recipe.held_out_clothes, recipe.wardrobe)
     person = _posed(rng, recipe.subset, dressed, posture, recipe.wardrobe)
     presets = [recipe.presets[int(rng.integers(len(recipe.presets)))] for _ in range(recipe.views)]
-    cameras = [
-        random_camera(rng, person.body, recipe.cameras, preset, f"Cam{i + 1}") for i, preset in enumerate(presets)
-    ]
+    places = _OVERHEAD if recipe.overhead and rng.random() < recipe.overhead else recipe.cameras
+    cameras = [random_camera(rng, person.body, places, preset, f"Cam{i + 1}") for i, preset in enumerate(presets)]
     settings = SCENE_PRESETS[recipe.scene]
     scene = None
     if settings != OFF:

@@ -35,7 +35,9 @@ from depthmocap.train.windows import default_subset
 
 #: Share of varied samples in which a part of the person is hidden.
 _CUT = 0.3
-#: Camera positions of varied samples: nearer, higher and with more roll.
+#: Share of varied samples that all cameras see from overhead.
+_FROM_OVERHEAD = 0.1
+#: Camera positions of the other varied samples: nearer, higher and with more roll.
 _PLACES = CameraRange(distance_m=(0.8, 4.5), height_m=(0.1, 3.0), roll_rad=0.1, truncated=0.08)
 #: Samples per file.
 _CHUNK = 100
@@ -161,7 +163,9 @@ def _samples(settings: PoseSampleSettings, first: int) -> Generator[Sample, None
             sensors=(ANY_SENSOR,), noise="random", cameras=CameraRange(roll_rad=0.03, truncated=0.05),
         )  # fmt: skip
         if settings.vary:
-            recipe = dataclasses.replace(recipe, cut="any", cut_share=_CUT, cameras=_PLACES)
+            recipe = dataclasses.replace(
+                recipe, cut="any", cut_share=_CUT, cameras=_PLACES, overhead=_FROM_OVERHEAD
+            )  # fmt: skip
         for _, sample in stream(recipe, settings.seed, first, settings.samples, settings.workers):
             yield sample
         return

@@ -10,11 +10,14 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
+from scipy.spatial.transform import Rotation
 
 from depthmocap.body.regions import REGION, UNLABELLED
+from depthmocap.body.trunk import trunk_lean
 from depthmocap.classify.window import Window, make_window
 from depthmocap.errors import InputError
 from depthmocap.geometry.depth_camera import DepthCamera
+from depthmocap.geometry.transforms import transform_points
 from depthmocap.synth.cut import cut_plane, random_cut
 from depthmocap.synth.motion.postures import PostureSource
 from depthmocap.synth.render import Material, PosedPerson, Rendering, render_person
@@ -38,6 +41,12 @@ _ROLL_RAD = 0.06
 _SLANTED_RAD = 0.4
 #: Share of cameras that hang at a slant.
 _SLANTED = 0.2
+#: A trunk that leans by less than this in the picture is shown as it is, radians.
+_LEANING_RAD = 0.5
+#: Share of the others whom the camera sees with the trunk upright, as the classifier sees them again,
+_SET_UPRIGHT = 0.65
+#: but for an error of this standard deviation, radians.
+_SET_UPRIGHT_RAD = 0.15
 #: Regions (by number) whose pixels lie near the floor.
 _FEET = np.isin(np.arange(44), [REGION[f"{part} {side}"] for part in ("ankle", "forefoot") for side in "RL"])
 #: Least number of labelled pixels of a training picture.
@@ -148,7 +157,10 @@ def training_window(
             person = PosedPerson(person.body)
         preset = random_preset(rng)
         places = _VALID_PLACES if degradations is None else _random_places(rng, degradations)
-        camera = _cropped(random_camera(rng, person.body, places, preset, "camera"), person)
+        camera = random_camera(rng, person.body, places, preset, "camera")
+        if degradations is not None:
+            camera = _sees_upright(np.random.default_rng([seed, index, attempt, 2]), camera, person)
+        camera = _cropped(camera, person)
         if camera is None:
             continue
         background = _background(rng, person, camera, postures, degradations)
@@ -175,6 +187,17 @@ def _random_places(rng: np.random.Generator, degradations: Degradations) -> Came
     places = _PLACES[int(rng.choice(len(_PLACES), p=[share for share, _ in _PLACES]))][1]
     roll = _SLANTED_RAD if rng.random() < _SLANTED else _ROLL_RAD
     return dataclasses.replace(places, roll_rad=roll, truncated=degradations.truncate)
+
+
+def _sees_upright(rng: np.random.Generator, camera: DepthCamera, person: PosedPerson) -> DepthCamera:
+    """The camera, in some of the pictures of a trunk that does not point up turned about its axis so that it does."""
+    wanted, error = rng.random() < _SET_UPRIGHT, rng.normal(0, _SET_UPRIGHT_RAD)
+    lean = trunk_lean(transform_points(camera.camera_from_world, person.joints))
+    if not wanted or abs(lean) < _LEANING_RAD:
+        return camera
+    pose = camera.world_from_camera.copy()
+    pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec([0, 0, lean + error]).as_matrix()
+    return dataclasses.replace(camera, world_from_camera=pose)
 
 
 @functools.lru_cache(maxsize=1)

@@ -102,7 +102,7 @@ class Variation:
 
 #: For training: recorded postures, which are the common ones, and more varied ones.
 TRAINING_VARIATION = Variation(
-    mirror=0.5, recombine=0.25, noise_rad=0.06, limb=0.2, tilt=0.12, sit=0.12, touch=0.3, as_recorded=0.55, beyond=0.15
+    mirror=0.5, recombine=0.25, noise_rad=0.06, limb=0.2, tilt=0.12, sit=0.12, touch=0.3, as_recorded=0.48, beyond=0.25
 )
 
 
