@@ -78,7 +78,8 @@ def test_gradient_reaches_every_parameter(samples):
     torch.stack([output.square().sum() for output in outputs]).sum().backward()
     for name, parameter in network.named_parameters():
         assert parameter.grad is not None, name
-        assert parameter.grad.abs().sum() > 0, name
+        # A softmax does not notice what is added to all: of this one rounding alone is left.
+        assert parameter.grad.abs().sum() > 0 or name == "trust.1.bias", name
 
 
 @pytest.mark.slow
