@@ -250,6 +250,29 @@ def test_nobody_in_range(body_model: BodyModel) -> None:
         Sampler(far, 0)(2)
 
 
+def test_a_person_of_whom_clothes_alone_are_seen_is_drawn_again(
+    body_model: BodyModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As happens to people cut off below a camera at the ceiling: such a sample ended the making of a set."""
+    recipe, draws = Recipe(views=1), []
+
+    def drawn(*arguments: Any) -> Sample:
+        sample = draw_sample(*arguments)
+        draws.append(sample)
+        if len(draws) < 3:
+            labels = sample.views[0].labels
+            assert labels is not None
+            labels[:] = 0
+        return sample
+
+    monkeypatch.setattr("depthmocap.synth.sample.draw_sample", drawn)
+    assert Sampler(recipe, 0)(2) is draws[2]
+    monkeypatch.setattr("depthmocap.synth.sample._TRIES", 2)
+    draws.clear()
+    with pytest.raises(InputError, match="sample 2: no camera sees the person in 2 tries"):
+        Sampler(recipe, 0)(2)
+
+
 def test_everybody_sits_or_touches_themselves_however_varied_they_are() -> None:
     """No posture stays as recorded where all shall do something else."""
     postures = Sampler(Recipe("open", vary=True, seated=True, hands_on_body=True), 0)._postures

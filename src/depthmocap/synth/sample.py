@@ -293,6 +293,12 @@ def _drawn_cut(rng: np.random.Generator, recipe: Recipe) -> tuple[Cut | None, in
     return (random_cut(cut_rng) if recipe.cut == "any" else recipe.cut), seed
 
 
+def _shows_somebody(view: View) -> bool:
+    """Whether there are enough of the person's pixels, with some skin behind them."""
+    assert view.mask is not None and view.labels is not None
+    return bool(np.count_nonzero(view.mask) >= _FEWEST_PIXELS and view.labels.any())
+
+
 class Sampler:
     """Draws the samples of a recipe by index; cheap to call in any order and in any process."""
 
@@ -317,7 +323,7 @@ class Sampler:
         for attempt in range(_TRIES):
             rng = np.random.default_rng([self.seed, SPLITS.index(self.recipe.split), index, attempt])
             sample = draw_sample(rng, self.recipe, self._postures)
-            if any(view.mask is not None and view.mask.sum() >= _FEWEST_PIXELS for view in sample.views):
+            if any(_shows_somebody(view) for view in sample.views):
                 return sample
         raise InputError(
             f"sample {index}: no camera sees the person in {_TRIES} tries; bring the cameras nearer (within the "

@@ -9,7 +9,6 @@ import pytest
 from depthmocap import InputError
 from depthmocap.synth.body.mesh import BodyModel
 from depthmocap.synth.sample import Recipe, Sample
-from depthmocap.synth.writing import stream as stream_module
 from depthmocap.synth.writing.stream import stream
 
 RECIPE = Recipe(subset="easy", split="valid", views=2)
@@ -40,16 +39,6 @@ def test_the_same_from_any_number_of_workers(body_model: BodyModel) -> None:
     ((_, other),) = stream(RECIPE, 4, 4, 5)
     assert not alike(here[0][1], other)
     assert [index for index, _ in itertools.islice(stream(RECIPE, 3), 2)] == [0, 1]  # without end
-
-
-def test_a_person_nobody_sees_is_an_error(body_model: BodyModel, monkeypatch: pytest.MonkeyPatch) -> None:
-    ((_, sample),) = stream(RECIPE, stop=1)
-    for view in sample.views:
-        assert view.labels is not None
-        view.labels[:] = 0
-    monkeypatch.setattr(stream_module, "_sampler", lambda recipe, seed: lambda index: sample)
-    with pytest.raises(InputError, match="sample 7: no camera sees the person"):
-        list(stream(RECIPE, start=7, stop=8))
 
 
 def test_settings_that_cannot_be() -> None:
