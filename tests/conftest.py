@@ -7,9 +7,15 @@ import signal
 from collections.abc import Iterator
 
 import pytest
-from virtual_time import virtual
+from type_checks import check_types_of
 
-from depthmocap.synth.body.mesh import Body, BodyModel, Phenotype
+# Not of kernels, which are compiled as they stand, and of what wraps the standard streams, which are no instances of
+# typing.TextIO. Whatever imports the package comes after it.
+check_types_of("depthmocap", but=("depthmocap.kernels", "depthmocap.core.console", "depthmocap.core.standard_streams"))
+
+from virtual_time import virtual  # noqa: E402
+
+from depthmocap.synth.body.mesh import Body, BodyModel, Phenotype  # noqa: E402
 
 __all__ = ["virtual"]
 
