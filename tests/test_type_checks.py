@@ -72,6 +72,10 @@ def cached(value: int) -> int:
     return value
 
 
+def either(points: Float[np.ndarray, "n 3"], short: bool) -> tuple[Float[np.ndarray, "n 3"], None]:
+    return points[1:] if short else points, None
+
+
 def remembered(later: Later | None) -> None: ...
 
 
@@ -188,6 +192,21 @@ def test_names_mean_what_they_meant_at_import(module, monkeypatch):
 def test_sizes_are_of_one_call_alone(module):
     for count in (3, 4):
         assert len(module[0].weighted(points(count), np.zeros(count))) == count
+
+
+def test_what_passed_once_is_checked_as_well_afterwards(module):
+    functions = module[0]
+    for _ in range(2):
+        functions.weighted(points(4), np.zeros(4))
+        with pytest.raises(TypeCheckError, match="weighted, argument weights"):
+            functions.weighted(points(4), np.zeros(4, int))
+        with pytest.raises(TypeCheckError, match="weighted, argument weights"):
+            functions.weighted(points(4), weights=[0.0] * 4)
+        functions.either(points(4), False)
+        with pytest.raises(TypeCheckError, match="either, result"):
+            functions.either(points(4), True)
+        with pytest.raises(TypeCheckError, match="either, argument short"):
+            functions.either(points(4), 0)
 
 
 def test_a_package_that_is_imported_already_cannot_be_checked():

@@ -31,6 +31,7 @@ from jaxtyping import AbstractArray, TypeCheckError, jaxtyped
 
 _Target = TypeVar("_Target")
 _Check = Callable[[Any], None]
+_Form = tuple[Any, ...]
 
 #: Bytecode of checked modules is kept beside the plain one, and made anew after a change of this file.
 _TAG = "checked-" + hashlib.md5(Path(__file__).read_bytes(), usedforsecurity=False).hexdigest()[:8]
@@ -132,11 +133,24 @@ def _checked(function: types.FunctionType) -> Callable[..., Any]:
             result = function(*args, **kwargs)
             checks.result(result)
             return result
-        with jaxtyped("context"):
-            checks.arguments(args, kwargs)
+        form = checks.form(args, kwargs)
+        if form is not None and form in checks.known:
+            checks.arguments(args, kwargs, shapes=False)
             result = function(*args, **kwargs)
-            checks.result(result)
-            return result
+            if checks.form_of_result(result) in checks.known[form]:
+                checks.result(result, shapes=False)
+                return result
+            with jaxtyped("context"):
+                checks.arguments(args, kwargs)
+                checks.result(result)
+        else:
+            with jaxtyped("context"):
+                checks.arguments(args, kwargs)
+                result = function(*args, **kwargs)
+                checks.result(result)
+        if form is not None:
+            checks.known.setdefault(form, set()).add(checks.form_of_result(result))
+        return result
 
     return wrapper
 
@@ -151,6 +165,10 @@ class _Checks:
         hints = _hints(function)
         #: Whether sizes of axes are to be remembered from one argument to the next.
         self.shapes = any(_has_shape(hint) for hint in hints.values())
+        #: Forms of arguments that passed, and those of their results: whether shapes fit depends on nothing else.
+        self.known: dict[_Form, set[_Form]] = {}
+        self._of_forms = {name for name, hint in hints.items() if _has_shape(hint)}
+        self._all_of_forms = all(_is_of_forms(hints[name]) for name in self._of_forms)
         self._result = _check(hints["return"], result=True) if "return" in hints else None
         parameters = inspect.signature(function).parameters.values()
         named = [(p.kind, p.name, _check(hints[p.name]) if p.name in hints else None) for p in parameters]
@@ -159,19 +177,32 @@ class _Checks:
         self._rest = next((check for kind, _, check in named if kind is inspect.Parameter.VAR_POSITIONAL), None)
         self._rest_by_name = next((check for kind, _, check in named if kind is inspect.Parameter.VAR_KEYWORD), None)
 
-    def arguments(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
-        """Checks what the function is called with."""
+    def form(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> _Form | None:
+        """Types and shapes of the arguments whose shapes are annotated; None if arrays may be anywhere in them."""
+        if not self._all_of_forms or self._rest is not None or self._rest_by_name is not None:
+            return None
+        in_order = [
+            _form(value) for (name, _), value in zip(self._in_order, args, strict=False) if name in self._of_forms
+        ]
+        return *in_order, *((name, _form(value)) for name, value in kwargs.items() if name in self._of_forms)
+
+    def form_of_result(self, result: Any) -> _Form:
+        return _form(result) if "return" in self._of_forms else ()
+
+    def arguments(self, args: tuple[Any, ...], kwargs: dict[str, Any], *, shapes: bool = True) -> None:
+        """Checks what the function is called with, or what of it has no shapes."""
+        done = () if shapes else self._of_forms
         name = ""
         try:
-            for (name, check), value in zip(self._in_order, args, strict=False):  # noqa: B007 of the message below
-                if check is not None:
+            for (name, check), value in zip(self._in_order, args, strict=False):
+                if check is not None and name not in done:
                     check(value)
             if self._rest is not None:
                 for value in args[len(self._in_order) :]:
                     self._rest(value)
             if kwargs:
                 for name, check in self._by_name.items():
-                    if check is not None and name in kwargs:
+                    if check is not None and name in kwargs and name not in done:
                         check(kwargs[name])
                 if self._rest_by_name is not None:
                     for name in kwargs.keys() - self._by_name.keys():
@@ -179,9 +210,9 @@ class _Checks:
         except BeartypeCallHintViolation as violation:
             raise TypeCheckError(self._told(f"argument {name}", violation)) from None
 
-    def result(self, value: Any) -> None:
-        """Checks what the function returned."""
-        if self._result is not None:
+    def result(self, value: Any, *, shapes: bool = True) -> None:
+        """Checks what the function returned, or that alone which has no shapes."""
+        if self._result is not None and (shapes or "return" not in self._of_forms):
             try:
                 self._result(value)
             except BeartypeCallHintViolation as violation:
@@ -268,3 +299,16 @@ def _has_shape(hint: Any) -> bool:
 def _is_shape(hint: Any) -> bool:
     # In Python 3.10, list[int] passes for a class.
     return isinstance(hint, type) and not isinstance(hint, types.GenericAlias) and issubclass(hint, AbstractArray)
+
+
+def _is_of_forms(hint: Any) -> bool:
+    """Whether values fit by their forms alone: arrays, tuples of them, None."""
+    if typing.get_origin(hint) in (typing.Union, types.UnionType, tuple):
+        return all(_is_of_forms(part) for part in typing.get_args(hint))
+    return hint is type(None) or _is_shape(hint)
+
+
+def _form(value: Any) -> _Form:
+    if type(value) is tuple:
+        return tuple(_form(part) for part in value)
+    return (type(value), getattr(value, "dtype", None), getattr(value, "shape", None))

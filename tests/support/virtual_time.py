@@ -7,7 +7,7 @@ import dataclasses
 import functools
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from types import ModuleType
 from typing import Any
 
@@ -189,12 +189,13 @@ class _Thread(threading.Thread):
                 self._time.wait(self, timeout)
 
 
-@pytest.fixture
-def virtual(monkeypatch: pytest.MonkeyPatch) -> Any:
+@contextlib.contextmanager
+def virtual_time() -> Iterator[VirtualTime]:
     """Cameras, their threads and motion capture run in virtual time."""
     made = VirtualTime()
-    for module in MODULES:
-        for name in {"time", "threading"} & set(vars(module)):
-            monkeypatch.setattr(module, name, made)
-    yield made
-    made.close()
+    with pytest.MonkeyPatch.context() as patch:
+        for module in MODULES:
+            for name in {"time", "threading"} & set(vars(module)):
+                patch.setattr(module, name, made)
+        yield made
+        made.close()
