@@ -3,8 +3,9 @@ VENV ?= .venv
 BIN = $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 # By two processes; what threads would do beside them, they would do against each other. Files in their order, for
 # those of few tests are not those of little work: at the end of an order by number one process would wait.
-# Bytecode is kept, of the tests too, or each process would compile all of them.
-PYTEST = OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX=$(abspath $(VENV))/bytecode \
+# Bytecode is kept, of the tests too, or each process would compile all of them; beside the files, for there pip has put
+# that of the packages, which takes 20 s of each process to compile.
+PYTEST = OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX= \
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 EXTRAS = train,cluster,record,stream,view,datasets,export,dev
 ifneq ($(shell uname -s),Darwin)  # the package index has no RealSense SDK for macOS
