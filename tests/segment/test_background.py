@@ -1,6 +1,7 @@
 import numpy as np
+import pytest
 
-from depthmocap.segment.background import FAR_M, UPDATES_NEEDED, BackgroundModel
+from depthmocap.segment.background import FAR_M, UPDATES_NEEDED, BackgroundModel, foreground_limit
 
 SHAPE = (12, 16)
 NOBODY = np.zeros(SHAPE, np.bool_)
@@ -66,3 +67,18 @@ def test_updates_are_apart_in_time():
     assert not background.is_due(10**9 + 10**8)
     assert background.is_due(10**9 + 2 * 10**8)
     assert background.is_due(0)  # time that went back
+
+
+def test_the_limit_is_nearer_than_the_scene_by_a_margin_and_pinholes_take_the_nearest_depth_around_them():
+    background_m = full(3.0)
+    background_m[4:, 3] = 2.0
+    background_m[6, 5], background_m[:3, 8:] = 0, 0
+    limit_m = foreground_limit(background_m)
+    near, far = 2.0 - 0.04 - 0.004 * 4, 3.0 - 0.04 - 0.004 * 9
+    np.testing.assert_allclose(limit_m[8:, [3, 4]], [[near, far]] * 4, rtol=1e-6)
+    assert limit_m[6, 5] == pytest.approx(near)
+    assert (limit_m[0, 10:] == FAR_M).all()
+    assert limit_m[2, 12] == pytest.approx(far)
+    learnt = BackgroundModel(SHAPE)
+    updates(learnt, background_m, UPDATES_NEEDED[0])
+    np.testing.assert_array_equal(learnt.limit_m, limit_m)

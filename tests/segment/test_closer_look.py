@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from depthmocap.geometry import DepthCamera
 from depthmocap.segment.closer_look import look_closer, unsure_region
@@ -87,3 +88,41 @@ def test_nothing_is_looked_at_where_all_is_sure_small_near_or_empty():
     assert (4 * 3 / (2 * CELL_FOCAL_PX)) ** 2 < 0.02
     assert region(-2.0, some, depth_m=0.8) is None
     assert region(-2.0, some, empty=~nothing) is None
+
+
+def plain_unsure_region(samples_m, logits, empty):
+    """The same by whole arrays: mask, rows, columns and depth of the region of the largest doubt."""
+    may = (logits > -3.5) & (samples_m > 0) & ~empty
+    cells = may[::2, ::2] | may[::2, 1::2] | may[1::2, ::2] | may[1::2, 1::2]
+    labels = np.zeros(cells.shape, np.int32)
+    count = ndimage.label(cells, output=labels)
+    probability = 1 / (1 + np.exp(-logits))
+    surface_m2 = np.square(samples_m / (2 * CELL_FOCAL_PX))
+    best, most, depth_m = 0, 0.0, 0.0
+    for label in range(1, int(count) + 1):
+        of_region = may & (np.repeat(np.repeat(labels, 2, 0), 2, 1) == label)
+        doubt = (probability * (1 - probability) * surface_m2)[of_region].sum()
+        if surface_m2[of_region].sum() > 0.02 and logits[of_region].mean() < 1.5 and doubt > most:
+            best, most, depth_m = label, doubt, float(np.median(samples_m[of_region]))
+    if not best or depth_m < 1:
+        return None
+    rows, columns = (np.flatnonzero((labels == best).any(axis)) for axis in (1, 0))
+    mask = ndimage.binary_dilation(labels == best)
+    return mask, slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1), depth_m
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_unsure_region_is_that_of_whole_arrays(seed):
+    rng = np.random.default_rng(seed)
+    shape = 48, 64
+    smooth = ndimage.gaussian_filter(rng.normal(size=shape), rng.uniform(1, 4))
+    logits = (smooth / smooth.std() * 3 - rng.uniform(1, 5)).astype(np.float32)
+    samples_m = np.where(rng.random(shape) < 0.1, 0, rng.uniform(0.5, 4) + rng.normal(0, 0.1, shape)).astype(np.float32)
+    empty = np.zeros(shape, bool)
+    empty[:, : int(rng.integers(20))] = True
+    region, expected = unsure_region(samples_m, logits, empty), plain_unsure_region(samples_m, logits, empty)
+    assert (region is None) == (expected is None)
+    if region is not None and expected is not None:
+        np.testing.assert_array_equal(region.mask, expected[0])
+        assert (region.rows, region.columns) == expected[1:3]
+        assert region.depth_m == pytest.approx(expected[3])

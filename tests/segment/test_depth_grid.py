@@ -90,3 +90,17 @@ def test_the_part_around_what_is_marked_holds_it_in_steps_of_the_network(turns):
     marked[5, 100] = False
     assert not (np.rot90(marked, turns)[::2, ::2] & rim).any()
     assert grid.part_around(np.ones_like(marked), 4, 0.7) is None
+
+
+@pytest.mark.parametrize("turns", [0, 1, 2, 3])
+@pytest.mark.parametrize("seed", range(5))
+def test_the_part_is_that_of_the_cells_that_are_marked_as_a_whole(turns, seed):
+    rng, grid = np.random.default_rng(seed), DepthGrid(KINECT, turns)
+    marked = np.zeros(grid.samples(np.zeros((424, 512), np.float32)).shape, bool)
+    marked[30:60, 20 + 10 * seed : 70 + 10 * seed] = rng.random((30, 50)) < 0.4
+    full = np.rot90(marked, turns).reshape(grid.shape[0], 2, grid.shape[1], 2).all((1, 3))
+    expected = []
+    for places, size in zip(np.nonzero(full), grid.shape, strict=True):
+        first, end = max(places.min() - 3, 0), min(places.max() + 4, size)
+        expected.append(slice(first // GRID_STEP * GRID_STEP, -(-end // GRID_STEP) * GRID_STEP))
+    assert grid.part_around(marked, 3, 1.0) == tuple(expected)

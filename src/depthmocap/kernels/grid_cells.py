@@ -55,3 +55,25 @@ def describe_cells(samples_m, cell_px, farthest_m, out):
                 if z > 0 and a > 0 and b > 0:
                     slope = (b - a) * cell_px / (4 * z)
                 out[6 + axis, i, j] = min(max(slope, -1), 1)
+
+
+@numba.njit(cache=True, nogil=True)
+def box_of_full_cells(marked):
+    """First row, end of rows, first column and end of columns of the cells of which all four samples are marked; the
+    ends are 0 where there is none.
+
+    Args:
+        marked: (2h, 2w) bool.
+    """
+    height, width = marked.shape[0] // 2, marked.shape[1] // 2
+    top, bottom, left, right = height, 0, width, 0
+    for i in range(height):
+        for j in range(width):
+            if (
+                marked[2 * i, 2 * j]
+                and marked[2 * i, 2 * j + 1]
+                and marked[2 * i + 1, 2 * j]
+                and marked[2 * i + 1, 2 * j + 1]
+            ):
+                top, bottom, left, right = min(top, i), i + 1, min(left, j), max(right, j + 1)
+    return top, bottom, left, right

@@ -283,3 +283,28 @@ def update_background(depth_m, occupied, background_m, empty, candidate_m, age, 
             if age[v, u] >= required:
                 background_m[v, u] = candidate_m[v, u]
                 age[v, u] = 0
+
+
+@numba.njit(cache=True, nogil=True)
+def fill_unknown(background_m, far_m, out):
+    """Copy the background (metres), ``far_m`` where it is unknown."""
+    for v in range(background_m.shape[0]):
+        for u in range(background_m.shape[1]):
+            z = background_m[v, u]
+            out[v, u] = z if z > 0 else far_m
+
+
+@numba.njit(cache=True, nogil=True)
+def limits_of(filled_m, nearest_m, empty, margin_m, margin_per_m, far_m, out):
+    """Write the depth below which a pixel is foreground: nearer than the background by a margin.
+
+    Args:
+        filled_m: the background (metres), ``far_m`` where it is unknown: there the nearest around counts,
+        nearest_m: which is this.
+        empty: pixels that are out of range: ``far_m`` is written for these, twice that where nothing is known yet.
+    """
+    for v in range(filled_m.shape[0]):
+        for u in range(filled_m.shape[1]):
+            z = filled_m[v, u] if filled_m[v, u] < far_m else nearest_m[v, u]
+            unknown_m = far_m if empty[v, u] else far_m + far_m
+            out[v, u] = z - (margin_m + margin_per_m * z * z) if z < far_m else unknown_m

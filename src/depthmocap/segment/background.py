@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 
-from depthmocap.kernels.segmentation import update_background
+from depthmocap.kernels.segmentation import fill_unknown, limits_of, update_background
 
 #: Quantile of a pixel's depths that is its background: high, as people are nearer, but not 1, because of far outliers.
 FAR_QUANTILE = 0.88
@@ -35,6 +35,9 @@ UPDATES_NEEDED = (5, 8, 20)
 LEARNT_SHARE = 0.5
 #: Pixels this near to a person's pixels (pixels) do not update the background: silhouettes are noisy.
 PEOPLE_MARGIN_PX = 4
+_MARGINS = np.float32(MARGIN_M), np.float32(MARGIN_PER_M)
+#: An unknown pixel whose neighbours this near (pixels) are known is a pinhole.
+_AROUND = np.ones((5, 5), np.uint8)
 
 
 def estimate_background(samples_m: Sequence[Float[ndarray, "_ _"]]) -> Float[ndarray, "h w"]:
@@ -63,13 +66,15 @@ def _margin_m(depth_m: Float[ndarray, "*shape"]) -> Float[ndarray, "*shape"]:
 
 def foreground_limit(background_m: Float[ndarray, "h w"]) -> Float[ndarray, "h w"]:
     """Depth (metres) below which a pixel is foreground; ``FAR_M`` where the background is unknown."""
-    unknown = ~(background_m > 0)
-    filled_m = background_m.astype(np.float32)
-    filled_m[unknown] = FAR_M
-    # Pinholes take the nearest depth around them. Otherwise they would be specks of foreground in every frame.
-    np.copyto(filled_m, cv2.erode(filled_m, np.ones((5, 5), np.uint8)), where=unknown)
-    limit_m = filled_m - _margin_m(filled_m)
-    limit_m[filled_m >= FAR_M] = FAR_M
+    return _limits(np.ascontiguousarray(background_m, np.float32), np.ones(background_m.shape, np.uint8))
+
+
+def _limits(background_m: Float[ndarray, "h w"], out_of_range: UInt8[ndarray, "h w"]) -> Float[ndarray, "h w"]:
+    """The foreground limit (metres). Pinholes take the nearest depth around them: otherwise they would be specks of
+    foreground in every frame."""
+    filled_m, limit_m = np.empty_like(background_m), np.empty_like(background_m)
+    fill_unknown(background_m, FAR_M, filled_m)
+    limits_of(filled_m, cv2.erode(filled_m, _AROUND), out_of_range, *_MARGINS, FAR_M, limit_m)
     return limit_m
 
 
@@ -127,6 +132,4 @@ class BackgroundModel:
             self.learning = bool(known < LEARNT_SHARE * np.count_nonzero(room))
 
     def _limit_m(self) -> Float[ndarray, "h w"]:
-        limit = foreground_limit(self.background_m)
-        limit[(limit >= FAR_M) & (self._out_of_range == 0)] = 2 * FAR_M
-        return limit
+        return _limits(self.background_m, self._out_of_range)

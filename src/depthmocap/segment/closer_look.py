@@ -11,11 +11,11 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray
 
+from depthmocap.kernels.unsure_regions import mark_around, mark_cells, most_doubtful, number_regions
 from depthmocap.segment.depth_grid import CELL_FOCAL_PX, GRID_STEP, DepthGrid
 
 #: So many times nearer, and so many times finer samples.
@@ -148,31 +148,21 @@ def unsure_region(
         logits: that it shows a person.
         empty: samples that show the empty scene.
     """
-    rows, columns = np.nonzero((logits > _MAYBE_LOGIT) & (samples_m > 0) & ~empty)
-    if not len(rows):
+    marked = np.zeros((logits.shape[0] // 2, logits.shape[1] // 2), np.bool_)
+    if not mark_cells(samples_m, logits, empty, _MAYBE_LOGIT, marked):
         return None
-    cells = np.zeros((logits.shape[0] // 2, logits.shape[1] // 2), np.bool_)
-    cells[rows // 2, columns // 2] = True
-    count, labels = cv2.connectedComponents(cells.view(np.uint8), connectivity=4)
-    region, logit, depth_m = labels[rows // 2, columns // 2], logits[rows, columns], samples_m[rows, columns]
-    probability = 1 / (1 + np.exp(-logit))
-    surface_m2 = np.square(depth_m / (2 * CELL_FOCAL_PX))
-
-    def total(values: Float[ndarray, " n"]) -> Float[ndarray, " regions"]:
-        return np.bincount(region, values, count)[1:]
-
-    mean_logit = total(logit) / np.bincount(region, minlength=count)[1:]
-    doubt = total(probability * (1 - probability) * surface_m2)
-    doubt[(total(surface_m2) < _LEAST_M2) | (mean_logit > _UNSURE_LOGIT)] = 0
-    best = int(doubt.argmax()) + 1
-    median_m = float(np.median(depth_m[region == best]))
-    if doubt[best - 1] <= 0 or median_m < _NEAREST_M:
+    labels = np.zeros(marked.shape, np.int32)
+    count = number_regions(marked, labels)
+    depths_m = np.empty(logits.size, np.float32)
+    best, samples = most_doubtful(
+        samples_m, logits, empty, labels, count, _MAYBE_LOGIT, _UNSURE_LOGIT, _LEAST_M2, 1 / (2 * CELL_FOCAL_PX),
+        depths_m,
+    )  # fmt: skip
+    if not best or (median_m := float(np.median(depths_m[:samples]))) < _NEAREST_M:
         return None
-    mask = labels == best
-    covered = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
-    sides = [slice(int(places[0]), int(places[-1]) + 1) for places in covered]
-    beside = cv2.dilate(mask.view(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)))
-    return UnsureRegion(beside.view(np.bool_), sides[0], sides[1], median_m)
+    beside = np.zeros(marked.shape, np.bool_)
+    top, bottom, left, right = mark_around(labels, best, beside)
+    return UnsureRegion(beside, slice(top, bottom + 1), slice(left, right + 1), median_m)
 
 
 def _look_at(

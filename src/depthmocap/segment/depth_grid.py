@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from depthmocap.geometry import DepthCamera
-from depthmocap.kernels.grid_cells import describe_cells, sample_depth
+from depthmocap.kernels.grid_cells import box_of_full_cells, describe_cells, sample_depth
 
 #: Focal length in cells. At 3 m a cell is 5 cm wide, a sample half of that.
 CELL_FOCAL_PX = 62.0
@@ -83,16 +83,14 @@ class DepthGrid:
         Returns:
             Multiples of ``GRID_STEP``; empty slices where no cell is marked; None for more than this share of the grid.
         """
-        turned = np.rot90(marked, self._turns)
-        cells = turned[::2, ::2] & turned[::2, 1::2] & turned[1::2, ::2] & turned[1::2, 1::2]
+        turned = np.ascontiguousarray(np.rot90(marked, self._turns)) if self._turns else marked
+        top, bottom, left, right = box_of_full_cells(turned)
+        if not bottom:
+            return slice(0, 0), slice(0, 0)
         sides = []
-        for axis, size in ((1, self.shape[0]), (0, self.shape[1])):
-            places = np.flatnonzero(cells.any(axis))
-            if not len(places):
-                return slice(0, 0), slice(0, 0)
-            first = max(int(places[0]) - around, 0) // GRID_STEP * GRID_STEP
-            end = -(-min(int(places[-1]) + 1 + around, size) // GRID_STEP) * GRID_STEP
-            sides.append(slice(first, end))
+        for begin, end, size in ((top, bottom, self.shape[0]), (left, right, self.shape[1])):
+            first = max(begin - around, 0) // GRID_STEP * GRID_STEP
+            sides.append(slice(first, -(-min(end + around, size) // GRID_STEP) * GRID_STEP))
         rows, columns = sides
         share = (rows.stop - rows.start) * (columns.stop - columns.start) / (self.shape[0] * self.shape[1])
         return None if share > largest_share else (rows, columns)
