@@ -95,11 +95,11 @@ def plain_unsure_region(samples_m, logits, empty):
     may = (logits > -3.5) & (samples_m > 0) & ~empty
     cells = may[::2, ::2] | may[::2, 1::2] | may[1::2, ::2] | may[1::2, 1::2]
     labels = np.zeros(cells.shape, np.int32)
-    count = ndimage.label(cells, output=labels)
+    ndimage.label(cells, output=labels)
     probability = 1 / (1 + np.exp(-logits))
     surface_m2 = np.square(samples_m / (2 * CELL_FOCAL_PX))
     best, most, depth_m = 0, 0.0, 0.0
-    for label in range(1, int(count) + 1):
+    for label in range(1, int(labels.max()) + 1):
         of_region = may & (np.repeat(np.repeat(labels, 2, 0), 2, 1) == label)
         doubt = (probability * (1 - probability) * surface_m2)[of_region].sum()
         if surface_m2[of_region].sum() > 0.02 and logits[of_region].mean() < 1.5 and doubt > most:

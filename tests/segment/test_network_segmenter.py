@@ -11,8 +11,8 @@ from depthmocap.frames import FrameSet, FrameSource, View
 from depthmocap.geometry import DepthCamera, look_at
 from depthmocap.segment.depth_grid import DepthGrid
 from depthmocap.segment.load_segmenter import load_segmenter
-from depthmocap.segment.network_segmenter import NetworkSegmenter
-from depthmocap.segment.people_detector import PeopleDetector, limits_at, person_mask
+from depthmocap.segment.network_segmenter import NetworkSegmenter, is_open
+from depthmocap.segment.people_detector import DetectedPeople, PeopleDetector, limits_at, person_mask
 from depthmocap.segment.people_segmenter import PeopleSegmenter, PersonMasks
 from depthmocap.segment.person_by_network import PersonByNetwork
 from depthmocap.segment.static_scene import PersonSegmenter
@@ -284,3 +284,14 @@ def test_the_ways_of_finding_people(tmp_path):
     assert isinstance(load_segmenter(source, "none"), PeopleSegmenter)
     with pytest.raises(InputError, match="--people"):
         load_segmenter(source, "auto", 0)
+
+
+@pytest.mark.parametrize(("place_m", "before_m", "expected"), [(3.0, 6.0, True), (4.5, 6.0, False), (3.0, 2.0, False)])
+def test_a_place_is_open_where_a_view_from_not_too_far_shows_what_is_behind_it(place_m, before_m, expected):
+    """From far, dark hair shows no depth: a head seems 10 cm lower."""
+    grid = DepthGrid(DepthCamera("c", 512, 424, 365.0, 365.0, 255.5, 211.5))
+    samples_m = grid.samples(np.full((424, 512), before_m, np.float32))
+    nothing = np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool)
+    view = DetectedPeople(grid, samples_m, -samples_m, *nothing, samples_m, np.zeros((7, *grid.shape), np.float32))
+    assert is_open(np.array([0.1, 0.1, place_m]), [view]) == expected
+    assert not is_open(np.array([9.0, 0.1, place_m]), [view])

@@ -166,11 +166,12 @@ def test_nobody_is_measured_whose_head_may_be_cut_off(rng):
     assert np.isnan(tracker.active[0].stature_m)
 
 
-def test_a_thing_that_moved_and_stands_again_is_nobody_soon(rng):
+@pytest.mark.parametrize(("moves", "stands"), [(0.3, 0.08), (0.4, 0.28)])
+def test_a_thing_that_moved_and_stands_again_is_nobody_soon(rng, moves, stands):
     tracker, now_s = PersonTracker(), 0.0
     for i in range(RATE * 4):
         moving, now_s = i < RATE, i / RATE
-        certainty = 0.3 if moving else 0.08
+        certainty = moves if moving else stands
         votes = person(rng, min(now_s, 1.0), 0.0, certainty=certainty, area=0.12, before=True)
         tracker.update(joined(votes, person(rng, -2.0, 0.0)), now_s)
         if i == RATE:

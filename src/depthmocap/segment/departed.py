@@ -63,7 +63,7 @@ def may_match(departed: Sequence[Departed], stature_m: float) -> bool:
     They may not where two who have left are alike, and either would do.
     """
     if np.isnan(stature_m):
-        return bool(departed)
+        return any(away.stature_m > 0 for away in departed)
     near = [away for away in departed if abs(away.stature_m - stature_m) <= MAYBE_HEIGHT_M]
     near.sort(key=lambda away: abs(away.stature_m - stature_m))
     alike = len(near) > 1 and abs(near[0].stature_m - near[1].stature_m) < 2 * CLEARLY_M

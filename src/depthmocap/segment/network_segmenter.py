@@ -31,6 +31,7 @@ from depthmocap.segment.people_detector import (
 )
 from depthmocap.segment.people_segmenter import PersonMasks
 from depthmocap.segment.person_tracks import PersonTrack, PersonTracker, measure_statures
+from depthmocap.segment.tracking_rules import STATURE
 from depthmocap.segment.vote_clusters import Votes
 
 #: Neighbouring pixels whose depths differ by less than this (metres) show one surface.
@@ -269,10 +270,11 @@ def probability_in_views(points: Float[ndarray, "n 3"], detected: Sequence[Detec
 
 
 def is_open(place: Float[ndarray, "3"], detected: Sequence[DetectedPeople]) -> bool:
-    """Whether a view shows that nothing is at a place (metres, in the world) or before it."""
+    """Whether a view from not too far shows that nothing is at a place (metres, in the world) or before it."""
     for view in detected:
-        rows, _, beyond_m = _samples_behind(view, place[None])
-        if rows[0] >= 0 and beyond_m[0] > STEP_M:
+        rows, columns, beyond_m = _samples_behind(view, place[None])
+        place_m = view.samples_m[rows[0], columns[0]] - beyond_m[0]
+        if rows[0] >= 0 and beyond_m[0] > STEP_M and place_m < STATURE.farthest_m:
             return True
     return False
 

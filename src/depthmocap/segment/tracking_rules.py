@@ -108,7 +108,7 @@ class EndRules:
     gone_s: float = 1.0
     unborn_s: float = 0.3
     unsure_m2: float = 0.2
-    unsure_certainty: float = 0.2
+    unsure_certainty: float = 0.35
     same_m: float = 0.3
     same_s: float = 1.0
     double_s: float = 0.5
@@ -126,6 +126,7 @@ class StatureRules:
         least_m, least_points, middle_shares: only who is so high, shows so many samples, and has the middle of the
             trunk between these shares of the height stands upright.
         clearance_m: so far above the head nothing may be: it would cut the head off.
+        farthest_m: a view from farther than this shows no dark hair, and the head some 10 cm too low.
     """
 
     every_s: float = 0.06
@@ -137,6 +138,7 @@ class StatureRules:
     least_points: int = 60
     middle_shares: tuple[float, float] = (0.5, 0.75)
     clearance_m: float = 0.1
+    farthest_m: float = 3.5
 
 
 CLUSTERING = ClusteringRules()
