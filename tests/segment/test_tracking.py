@@ -62,3 +62,10 @@ def test_what_stood_there_while_the_room_was_learnt_is_a_thing_until_it_walks_aw
     seen = follow(lambda t: blob(1 + 0.5 * max(t - 40, 0), 1.75, rng), 44, learning_s=2.0)
     assert set(seen[15 * RATE : 40 * RATE]) == {()}
     assert seen[2 * RATE] == seen[-1] == (1,)
+
+
+@pytest.mark.parametrize(("top_m", "known"), [(1.95, True), (2.28, False)])
+def test_a_wall_seen_through_a_door_while_the_room_is_learnt_is_nobody(top_m: float, known: bool) -> None:
+    rng = np.random.default_rng(0)
+    assert any(follow(lambda t: blob(2.0, top_m, rng, 0.02), 8, learning_s=1.0)) == known
+    assert any(follow(lambda t: blob(2.0 + np.clip(t - 2, 0, 2), 2.28, rng), 8, learning_s=1.0))

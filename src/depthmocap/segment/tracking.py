@@ -19,6 +19,9 @@ LEAST_M2 = 0.05
 LONGEST_M = 2.3
 #: Greatest height of a person (metres over the floor): with an arm raised.
 HIGHEST_M = 2.4
+#: Where no background was known, what is higher than this (metres over the floor) is a part of the room: a wall that is
+#: seen through a door.
+TALLEST_M = 2.1
 #: Before the first person a blob is also one if it shows so much surface (m²)
 FIRST_PERSON_M2 = 0.2
 #: and has moved within its first second (seconds).
@@ -220,6 +223,8 @@ class PeopleTracker:
 
     def _identify(self, track: Track, now_s: float) -> None:
         """Give a track a number once it is certain to be a person."""
+        if track.predates_background and track.top_m > TALLEST_M and track.travelled_m < TRAVELLED_M:
+            return
         age_s = now_s - track.start_s
         has_moved = track.still_since_s > track.start_s
         if track.is_object:
