@@ -29,8 +29,6 @@ _FRAMES = 9
 _LEAST_FRAMES = 3
 #: Joints are sure if half of them have an expected error below this share of the body's chain.
 _SURE = 0.15
-#: A picture is turned if the joints are then surer by this factor.
-_SURER = 0.8
 #: Least length of the body's axis in the picture: of somebody seen from above it does not tell what is up.
 _LEAST_AXIS = 0.35
 #: An adult's size (metres): of several units in which people are found, the one nearest to it is taken.
@@ -79,20 +77,19 @@ def _look(recording: Recording, camera: DepthCamera, segmenter: PersonSegmenter,
     if not sights:
         return FirstLook()
     factor = min(sights, key=lambda factor: abs(np.log(sights[factor].stature_m / _ADULT_M)))
-    return FirstLook(factor, sights[factor].quarters(classifier), sights[factor].stature_m)
+    return FirstLook(factor, sights[factor].quarters(), sights[factor].stature_m)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Sight:
     """People in some frames of a camera, by the network."""
 
-    seen: Sequence[tuple[View, Bool[ndarray, "h w"]]]
     track: JointTrack
 
     @classmethod
     def of(cls, views: Sequence[tuple[View, Bool[ndarray, "h w"]]], classifier: Classifier) -> _Sight:
         seen = [(view, mask) for view, mask in views if mask.any()]
-        return cls(seen, _track(seen, classifier, 0))
+        return cls(_track(seen, classifier))
 
     @property
     def sure(self) -> bool:
@@ -108,20 +105,18 @@ class _Sight:
     def stature_m(self) -> float:
         return STATURE_PER_CHAIN * chain_m(self.track)
 
-    def quarters(self, classifier: Classifier) -> int:
-        """Quarter turns that bring people upright; 0 where the network is not surer of them then."""
+    def quarters(self) -> int:
+        """Quarter turns that bring people upright; the classifier tells how they lie in the picture as it is."""
         joints = self.track.joints
         axes = joints[:, JOINT_INDEX["Neck"]] - joints[:, [JOINT_INDEX["LFoot"], JOINT_INDEX["RFoot"]]].mean(1)
         right, down, _ = np.nanmedian(axes / np.linalg.norm(axes, axis=1, keepdims=True), axis=0)
-        quarters = round(float(np.arctan2(right, -down)) / (np.pi / 2)) % 4
-        if not quarters or np.hypot(right, down) < _LEAST_AXIS:
+        if np.hypot(right, down) < _LEAST_AXIS:
             return 0
-        turned = _Sight(self.seen, _track(self.seen, classifier, quarters))
-        return quarters if turned.error < _SURER * self.error else 0
+        return round(float(np.arctan2(right, -down)) / (np.pi / 2)) % 4
 
 
-def _track(seen: Sequence[tuple[View, Bool[ndarray, "h w"]]], classifier: Classifier, quarters: int) -> JointTrack:
-    poses = [joints_in(view, mask, classifier, quarters) for view, mask in seen]
+def _track(seen: Sequence[tuple[View, Bool[ndarray, "h w"]]], classifier: Classifier) -> JointTrack:
+    poses = [joints_in(view, mask, classifier) for view, mask in seen]
     poses = [joints for joints in poses if np.isfinite(joints).all()]
     joints = np.stack(poses) if poses else np.empty((0, 18, 4))
     return JointTrack(np.arange(float(len(joints))), joints[..., :3], joints[..., 3])
