@@ -77,7 +77,8 @@ def test_reliability_of_confidence() -> None:
     assert found.within_10cm == pytest.approx((0.0, 0.75))
     assert found.calibration_error == pytest.approx((2 * 0.21 + 4 * 0.17) / 6)
     assert found.error_cm == pytest.approx((55.0, 10.5))
-    assert found.expected_error_cm == pytest.approx((21.5, 5.8), abs=0.5)
+    by_curve = 100 * expected_error_m(confidence)  # whose numbers change with the networks
+    assert found.expected_error_cm == pytest.approx((by_curve[1, :2].mean(), by_curve[0].mean()))
     assert np.isnan(reliability(confidence * np.nan, errors_cm).calibration_error)
 
 
