@@ -127,7 +127,7 @@ class _Shown:
     window: Window | None
 
 
-def mean_probability(prediction: WindowPrediction) -> float:
+def _mean_probability(prediction: WindowPrediction) -> float:
     """Of the labels of a window; 0 without any."""
     return float(prediction.confidence.sum()) / max(int(np.count_nonzero(prediction.labels)), 1)
 
@@ -202,13 +202,13 @@ class Classifier:
         """The window of a view and the prediction for it; where its joints tell that the trunk does not point up, those
         for a window that is turned so that it does, if their labels are surer. The network knows people best who are
         upright in their window, and tells from any how they lie."""
-        probability, lean = mean_probability(prediction), trunk_lean(prediction.joints[:, :3])
+        probability, lean = _mean_probability(prediction), trunk_lean(prediction.joints[:, :3])
         if not abs(lean) > (_LEANING_RAD if probability < _SURE_OF_LABELS else _LYING_RAD):
             return window, prediction  # also for a network without joints, whose lean is NaN
         turned = make_window(view.depth_m, mask, view.camera, lean)
         assert turned is not None  # as the window before
         (of_turned,) = self._label_windows([turned])
-        return (turned, of_turned) if mean_probability(of_turned) > probability else (window, prediction)
+        return (turned, of_turned) if _mean_probability(of_turned) > probability else (window, prediction)
 
     def _with_front(self, prediction: WindowPrediction, window: Window) -> WindowPrediction:
         """The prediction with the log odds of its front, and turned round where these say so."""
