@@ -24,5 +24,11 @@ def test_scenes_with_furniture_and_with_one_camera(act):
         if act in ONE_CAMERA:  # the camera is the origin of the world that it tells of
             assert (frame.frames.views[0].camera.world_from_camera == np.eye(4)).all()
             assert 0.5 < joints[0, 2] < 3
+    if act != "carried":  # what is known of the empty scene
+        empty_m = scene.backgrounds_m["cam0"]
+        view, others = first.frames.views[0], ~first.masks[0][0]
+        known = others & (empty_m > 0) & (view.depth_m > 0)
+        assert np.median(np.abs(empty_m - view.depth_m)[known]) < 0.02
+        assert np.median((empty_m - view.depth_m)[first.masks[0][0] & (empty_m > 0)]) > 0.1
     moved = np.abs(first.frames.views[0].depth_m - second.frames.views[0].depth_m)[~first.masks[0][0]]
     assert (np.median(moved) > 0.01) == (act == "carried")

@@ -1,5 +1,6 @@
 """People who are blocks, in a room that four cameras see: followed while they cross, touch, go and return."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -7,7 +8,8 @@ import pytest
 
 from depthmocap.errors import InputError
 from depthmocap.frames import FrameSet, View
-from depthmocap.geometry import DepthCamera, look_at
+from depthmocap.geometry import DepthCamera, Rig, look_at
+from depthmocap.realtime.live_capture import BackgroundSource
 from depthmocap.segment.people_segmenter import PeopleSegmenter, PersonMasks
 from depthmocap.synth.scenes.room import Box, Room, render_room, table
 
@@ -211,6 +213,26 @@ def test_a_chair_is_nobody_and_becomes_background(scene):
     # Beside the chair that is background now, a person's mask is the person.
     frames, masks = scene.render(70, body(0.3, 0.0), things=chair)
     assert overlap(segment(frames)[0].masks, masks[0]) > 0.8
+
+
+def test_one_camera_whose_place_nobody_knows_and_that_sees_no_floor_is_enough(scene):
+    mount = scene.mounts[0]
+    camera = dataclasses.replace(mount.camera, world_from_camera=np.eye(4))
+    wall = np.full(mount.room_m.shape, 3.0, np.float32)
+    across, down = camera.rays[..., 0], camera.rays[..., 1]
+    shown = (np.abs(across) < 0.2) & (down > -0.3)
+    person = np.where(shown, np.float32(1.2), wall)
+    segment = PeopleSegmenter({camera.name: scene.noisy(wall)})
+    for i in range(10):
+        (found,) = segment(FrameSet(i * 10**9 // RATE, (View(camera, scene.noisy(person)),)))
+        assert overlap(found.masks, [shown]) > 0.9
+
+
+def test_where_no_empty_scene_is_known_live_it_is_said(scene):
+    source = BackgroundSource(Rig(tuple(scene.cameras)), {"cam1": scene.rooms[1]})
+    (problem,) = PeopleSegmenter.from_recording(source).problems
+    assert problem.startswith("cameras 'cam0' and 'cam2': the empty scene is not known") and "auto" in problem
+    assert PeopleSegmenter.from_recording(source, "none").problems == []
 
 
 def test_a_camera_that_joins_later_is_used_from_its_first_set(scene):

@@ -128,7 +128,7 @@ def test_a_still_scene_is_reported(rng: np.random.Generator, people: list[tuple[
     depth_m, _ = render(camera, people)
     frames = Frames([View(camera, sense(depth_m, rng)) for _ in range(8)])
     segment = PersonSegmenter.from_recording(frames)
-    assert "background.png" in segment.problems[0]
+    assert "background.png" in segment.problems[0] and "--segment auto" in segment.problems[0]
     assert not segment(frames.views[0]).any()
 
 

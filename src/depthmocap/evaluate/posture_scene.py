@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.evaluate.posture_scenarios import ONE_CAMERA, PostureScenario
-from depthmocap.evaluate.scenario_scene import Cover, ScenarioScene
+from depthmocap.evaluate.scenario_scene import Cover, ScenarioScene, draw_view
 from depthmocap.geometry import DepthCamera, look_at, transform_points
 from depthmocap.synth.body.bones import heading
 from depthmocap.synth.motion.perform import Motion
@@ -73,6 +73,16 @@ class PostureScene(ScenarioScene):
         place = Place(np.zeros((0, 3)), person.joints, 0.0, 0.0)
         place.occupy(np.concatenate([person.vertices, *(layer.vertices for layer in person.layers)]).astype(float))
         self._furniture = join([seat(rng, place), wheels(rng, person)])
+
+    def _empty_rooms(self) -> list[Float[ndarray, "_ _"]]:
+        """The room without people and what came with them, but with the bed."""
+        if self._act != "in bed":
+            return self._draw_room(0.0, self._cameras_at(0))
+        rooms = super()._empty_rooms()
+        return [
+            draw_view(camera, room_m, self._furniture, [], None)[0]
+            for camera, room_m in zip(self.rig.cameras, rooms, strict=True)
+        ]
 
     def _draw_path(self, rng: np.random.Generator) -> tuple[DepthCamera, ...]:
         """Where the one camera is in every frame set."""

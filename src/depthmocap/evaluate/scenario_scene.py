@@ -108,10 +108,14 @@ class ScenarioScene:
     def backgrounds_m(self) -> dict[str, ndarray]:
         """By camera name: depth of the empty room, as the sensor reads it."""
         noise, backgrounds_m = np.random.default_rng([self._seed, 1]), {}
-        for camera, preset, depth_m in zip(self.rig.cameras, self._presets, self._rooms[0.0], strict=True):
+        for camera, preset, depth_m in zip(self.rig.cameras, self._presets, self._empty_rooms(), strict=True):
             material = np.full(depth_m.shape, Material.SCENE, np.uint8)
             backgrounds_m[camera.name] = sense(depth_m, material, camera, preset.model, noise)
         return backgrounds_m
+
+    def _empty_rooms(self) -> list[Float[ndarray, "_ _"]]:
+        """Exact depth of the room by camera before anybody is in it."""
+        return self._rooms[0.0]
 
     @property
     def count(self) -> int:
@@ -137,7 +141,7 @@ class ScenarioScene:
             things, cover = self._things(i), self._cover(posed)
             views, masks = [], []
             for of_rig, camera, preset, room_m in zip(self.rig.cameras, cameras, self._presets, rooms, strict=True):
-                depth_m, material, person_at = _drawn(camera, room_m, things, posed, cover)
+                depth_m, material, person_at = draw_view(camera, room_m, things, posed, cover)
                 read_m = sense(depth_m, material, camera, preset.model, rng)
                 views.append(View(of_rig, read_m))
                 masks.append([(person_at == k + 1) & (read_m > 0) for k in range(self.count)])
@@ -191,7 +195,7 @@ class ScenarioScene:
         return [render_room(room, camera) for camera in cameras]
 
 
-def _drawn(
+def draw_view(
     camera: DepthCamera,
     room_m: Float[ndarray, "h w"],
     things: Solids,

@@ -252,6 +252,8 @@ def _way_out(source: FrameSource, settings: RunSettings) -> str:
     segment = settings.segment
     ways = ["see that people were in the area (--area, or the rig's area_m)"] if settings.area or source.area_m else []
     ways += ["see that the cameras stand where the rig says (world_from_camera is no inverse) and that its up is right"]
+    if segment == "background":
+        ways.append("take --segment auto, which finds people who hardly move or lie")
     if segment in ("auto", "background") and isinstance(source, Recording):
         unknown = [name for name in source.rig.names if source.background(name) is None]
         ways += [f"give the empty scene of {camera_list(unknown)} (background.png)"] if unknown else []

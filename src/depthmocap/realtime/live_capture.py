@@ -278,6 +278,7 @@ class LiveCapture:
             if (first := next(sets, None)) is None:
                 return
             self._pipeline = self._make_warm_pipeline(frame_set(first, self.reader.cameras))
+            self.reader.problems.update(self._pipeline.segment.problems)
             self.sets_before_ready = self.reader.reset_dropped() + 1
         with ahead:
             ahead.begin()

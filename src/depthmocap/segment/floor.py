@@ -27,10 +27,11 @@ LEAST_SHARE = 0.25
 LARGEST_TILT = 0.1
 
 
-def find_floor(views: Sequence[View], up: str) -> Float[ndarray, "4 4"]:
+def find_floor(views: Sequence[View], up: str, unseen_m: float = 0.0) -> Float[ndarray, "4 4"]:
     """``floor_from_world`` (4×4): Z up, the floor at z = 0.
 
-    The floor is the lowest large horizontal surface. Without one in view it is at height 0 of the rig's world.
+    The floor is the lowest large horizontal surface. Without one in view it is at the height ``unseen_m`` of the rig's
+    world (metres).
 
     Args:
         views: of the empty room if possible; people and furniture matter little.
@@ -38,17 +39,19 @@ def find_floor(views: Sequence[View], up: str) -> Float[ndarray, "4 4"]:
     """
     floor_from_world = np.eye(4)
     floor_from_world[:3, :3] = z_up_from(up)
+    unseen = floor_from_world.copy()
+    unseen[2, 3] = -unseen_m
     surfaces = [_horizontal_points(view, floor_from_world) for view in views]
     points = np.concatenate([points for points, _ in surfaces]) if surfaces else np.empty((0, 3))
     areas = np.concatenate([areas for _, areas in surfaces]) if surfaces else np.empty(0)
     if areas.sum() < LEAST_M2:
-        return floor_from_world
+        return unseen
     bins = np.floor(points[:, 2] / BIN_M).astype(int)
     heights = np.bincount(bins - bins.min(), areas)
     heights = np.convolve(heights, np.ones(3), "same")
     large = np.flatnonzero(heights >= max(LEAST_M2, LEAST_SHARE * heights.max()))
     if not len(large):
-        return floor_from_world
+        return unseen
     # The peak of the lowest run of neighbouring bins.
     stretch = large[: int(np.argmax(np.append(np.diff(large), 2) > 1)) + 1]
     height = (stretch[heights[stretch].argmax()] + bins.min() + 0.5) * BIN_M

@@ -22,9 +22,12 @@ from depthmocap.segment.occupancy_map import Foreground, OccupancyMap
 from depthmocap.segment.static_scene import Mode, PersonSegmenter
 from depthmocap.segment.track import Track
 from depthmocap.segment.tracking import PeopleTracker
+from depthmocap.text import camera_list
 
 #: Pixels in front of an unknown background count this near to a tracked person (metres).
 UNCERTAIN_NEAR_PEOPLE_M = 0.6
+#: A camera whose place nobody knows, and which sees no floor, is taken to be so high over it (metres).
+CAMERA_HEIGHT_M = 1.4
 #: Label of columns whose blob several people share: there the divided volume holds the label of each voxel.
 _DIVIDED = 255
 
@@ -99,7 +102,15 @@ class PeopleSegmenter:
     ) -> PeopleSegmenter:
         """Use the empty scenes of a recording; those that it lacks are estimated from its frames."""
         static_scene = PersonSegmenter.from_recording(source, mode)
-        return cls(static_scene.backgrounds_m, source.up, mode, people, static_scene.problems, choice)
+        problems = [*static_scene.problems]
+        unknown = [name for name in source.camera_names if name not in static_scene.backgrounds_m]
+        if mode == "auto" and unknown and not len(source):  # live
+            problems.append(
+                f"{camera_list(unknown)}: the empty scene is not known and is learnt on the run, and with --segment "
+                "background who is there from the start and hardly moves becomes a part of it: leave the view for some "
+                "seconds, or take --segment auto"
+            )
+        return cls(static_scene.backgrounds_m, source.up, mode, people, problems, choice)
 
     def reset(self) -> None:
         """Forget all tracks; background models are kept."""
@@ -178,7 +189,11 @@ class PeopleSegmenter:
         previous = self._map
         if previous is None:
             empty = [self._empty_view(view) for view in views]
-            self._floor_from_world = find_floor(empty, self._up)
+            if len(views) == 1 and np.array_equal(views[0].camera.world_from_camera, np.eye(4)):
+                # Nobody knows where it stands: it is taken to be upright.
+                self._floor_from_world = find_floor(empty, "-y", -CAMERA_HEIGHT_M)
+            else:
+                self._floor_from_world = find_floor(empty, self._up)
         self._cameras |= {view.camera.name: view.camera for view in views}
         self._map = OccupancyMap(list(self._cameras.values()), self._floor_from_world)
         if previous is not None:

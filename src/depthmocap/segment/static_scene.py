@@ -141,8 +141,8 @@ class PersonSegmenter:
         names, share = camera_list(list(self._full_body_shares)), max(self._full_body_shares.values())
         return [
             f"{names}: a whole person is found in at most {share:.0%} of the sampled frames; if they were there more "
-            "often, they hardly moved: give the empty scene (background.png in a recording folder), or pass --segment "
-            "none"
+            "often, they hardly moved: take --segment auto, which needs no empty scene, give that scene "
+            "(background.png in a recording folder), or take --segment none where there is no room around the person"
         ]
 
 

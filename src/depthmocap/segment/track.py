@@ -24,8 +24,18 @@ FULL_BODY_M2 = 0.4
 GROWTH_M = 0.02
 #: A track within this distance (metres) of where it was stands still.
 STILL_M = 0.012
-#: A track lower than ``TALL_M`` is an object after it stood still for this time (seconds).
+#: A track lower than ``TALL_M`` that never stood is an object after it was still for this time (seconds),
 LOW_STILL_S = 3.0
+#: unless a person of this height (metres over the floor) at most lies there,
+LYING_M = 0.6
+#: who shows so much surface (m²),
+LYING_M2 = 0.4
+#: and is so long (metres).
+LYING_LENGTH_M = 1.0
+#: Nobody sinks faster than this (m/s): they fall; what is lower all at once is another thing, which they stood beside.
+FALL_MPS = 5.0
+#: Heights err by this (metres).
+TOP_ERROR_M = 0.15
 #: So is a tall one that has not moved away since before the background was known (seconds). Other tall ones are people.
 TALL_STILL_S = 10.0
 #: Share of the position's residual that an update corrects.
@@ -50,6 +60,9 @@ class Track:
         last_number: its last number other than 0; it gets this one again.
         is_object: was taken for an object, and has not been a person since.
         area_m2: visible surface now, 0 when hidden.
+        length_m: the longer side of its blob as seen from above, when it was last in one of its own.
+        now_top_m: height when it was last visible: less than ``top_m`` of who bends, sits or lies.
+        has_stood: whether it is a person who was seen to stand, and sank no faster than one since.
         last_seen_s: when it was last visible.
         full_body: whether it has been in view from head to foot.
         alone_s: how long it was visible in a blob of its own.
@@ -68,6 +81,9 @@ class Track:
     is_object: bool = False
     velocity_mps: Float[ndarray, "2"] = dataclasses.field(default_factory=lambda: np.zeros(2))
     area_m2: float = 0.0
+    length_m: float = 0.0
+    now_top_m: float = 0.0
+    has_stood: bool = False
     last_seen_s: float = 0.0
     predicted_m: Float[ndarray, "2"] = dataclasses.field(default_factory=lambda: np.zeros(2))
     full_body: bool = False
@@ -96,7 +112,11 @@ class Track:
         # stand beside it.
         up_s = 1.0 if not self.number and (self.is_object or now_s - self.start_s > 1) else 0.25
         self.top_m += (top_m - self.top_m) * min(1.0, passed_s / (up_s if top_m > self.top_m else 20.0))
-        self.area_m2, self.last_seen_s = area_m2, now_s
+        if self.now_top_m - top_m > FALL_MPS * passed_s + TOP_ERROR_M:
+            self.has_stood = False
+        elif self.number and top_m >= TALL_M:
+            self.has_stood = True
+        self.area_m2, self.last_seen_s, self.now_top_m = area_m2, now_s, top_m
         self.full_body |= bottom_m < FEET_M and area_m2 > FULL_BODY_M2 and top_m - self.top_m < GROWTH_M
         if np.linalg.norm(position_m - self.anchor_m) > STILL_M:
             self.anchor_m, self.still_since_s = position_m.copy(), now_s
@@ -122,13 +142,17 @@ class Track:
     def assign_number(self, number: int) -> None:
         """Make the track a person."""
         self.number = self.last_number = number
-        self.is_object = False
+        self.is_object, self.has_stood = False, self.has_stood or self.now_top_m >= TALL_M
 
     def check_static(self, now_s: float) -> None:
-        """Take a track that has stood still for long for an object, until it moves.
+        """Take a track that has been still for long for an object, until it moves.
 
-        Not a tall one that appeared while the background was known: it is a person who stands still.
+        Not a tall one that appeared while the background was known, nor who stood before: they are people who stand,
+        sit or lie still.
         """
+        lies = self.now_top_m < LYING_M and self.area_m2 > LYING_M2 and self.length_m > LYING_LENGTH_M
+        if self.top_m < TALL_M and self.number and (self.has_stood or (lies and not self.predates_background)):
+            return
         if self.top_m < TALL_M:
             limit_s = LOW_STILL_S
         elif self.predates_background and self.travelled_m < TRAVELLED_M:

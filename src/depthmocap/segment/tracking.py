@@ -106,13 +106,17 @@ class PeopleTracker:
         predicted = np.stack([track.predicted_m for track in self.active])
         gaps = np.linalg.norm(predicted[:, None] - blobs.centres_m[None], axis=2)
         grown = blobs.tops_m[None] - np.array([track.top_m for track in self.active])[:, None]
-        # A person who was never in full view may become taller.
+        sunk = np.array([min(track.now_top_m, track.top_m) for track in self.active])[:, None] - blobs.tops_m[None]
+        # A person who was never in full view may become taller; who bends, sits or lies is lower than before by little.
         full_body = np.array([track.full_body for track in self.active])[:, None]
-        height_cost = np.where(full_body, np.abs(grown), np.maximum(-grown, 0))
+        height_cost = np.maximum(sunk, np.where(full_body, grown, 0)).clip(0)
         gates = np.array([GATE_M + GATE_MPS * min(now_s - track.last_seen_s, GONE_S) for track in self.active])
         # The centre of a wide blob is farther from the people in it.
         cost = np.maximum(gaps - blobs.sizes_m[:, 0] / 4, 0.2 * gaps) + HEIGHT_WEIGHT * np.minimum(height_cost, 1.0)
         cost[(cost > gates[:, None]) | (blobs.areas_m2 < SPECK_M2)] = 1e3
+        # A thing does not become the room that is still being learnt.
+        things = np.array([not track.number for track in self.active])
+        cost[things[:, None] & ((blobs.sizes_m[:, 0] > LONGEST_M) | (blobs.tops_m > HIGHEST_M))] = 1e3
         from scipy.optimize import linear_sum_assignment  # slow to import
 
         rows, columns = linear_sum_assignment(cost)
@@ -179,6 +183,7 @@ class PeopleTracker:
                 areas = blobs.areas_m2[indices]
                 centre = (blobs.centres_m[indices] * areas[:, None]).sum(0) / areas.sum()
                 track.alone_s += now_s - track.last_seen_s
+                track.length_m = float(blobs.sizes_m[indices, 0].max())
                 top, bottom = float(blobs.tops_m[indices].max()), float(blobs.bottoms_m[indices].min())
                 track.update(centre, top, bottom, float(areas.sum()), now_s)
                 if now_s - track.height_measured_s >= MEASURE_S and is_visible(centre, top + CLEARANCE_M):
@@ -216,7 +221,8 @@ class PeopleTracker:
             self.active.append(
                 Track(
                     label, position, top, now_s, predates_background, area_m2=float(blobs.areas_m2[blob]),
-                    last_seen_s=now_s, start_m=position.copy(), anchor_m=position.copy(), still_since_s=now_s,
+                    now_top_m=top, last_seen_s=now_s, start_m=position.copy(), anchor_m=position.copy(),
+                    still_since_s=now_s,
                 )
             )  # fmt: skip
         return label
