@@ -8,6 +8,7 @@ import pytest
 from depthmocap.body.landmarks import POINT_JOINTS, POINT_ROWS
 from depthmocap.body.skeleton import JOINTS, MIRROR
 from depthmocap.errors import InputError
+from depthmocap.pose import votes as votes_module
 from depthmocap.pose.cloud import LabelledCloud, merge_views
 from depthmocap.pose.estimators import estimate_pose, load_estimator
 from depthmocap.pose.labelled_view import LabelledView
@@ -55,6 +56,22 @@ def small_network():
     for parameter in network.points.parameters():
         parameter.data += torch.randn_like(parameter) / 10
     return network
+
+
+def test_cameras_that_see_nobody_are_not_asked_about(samples, monkeypatch):
+    estimator, seen = VotesEstimator(), []
+    run = votes_module._run
+    monkeypatch.setattr(
+        votes_module, "_run", lambda session, inputs: (seen.append(inputs.shape), run(session, inputs))[1]
+    )
+    views = samples[0].views
+    nothing = np.zeros_like(views[1].labels)
+    parts = [LabelledView(view, nothing if i == 1 else view.labels) for i, view in enumerate(views)]
+    joints, confidence = estimator(merge_views(parts))
+    (alone, sure) = estimator(merge_views([parts[0], parts[2]]))
+    assert [shape[1] for shape in seen] == [2, 2]
+    np.testing.assert_allclose(joints, alone, atol=1e-5)
+    np.testing.assert_allclose(confidence, sure, atol=1e-5)
 
 
 def test_order_and_absence_of_cameras_make_no_difference(samples):

@@ -6,12 +6,14 @@ import dataclasses
 
 import numpy as np
 import pytest
+from pythonosc.osc_message_builder import OscMessageBuilder
 from receivers import OscReceiver, osc, wait_until
 from samples import EMPTY_RIG, sample_of, standing_pose
 
 from depthmocap.body.skeleton import JOINTS
 from depthmocap.errors import InputError
 from depthmocap.streaming.addresses import open_stream
+from depthmocap.streaming.osc_stream import osc_message
 from depthmocap.streaming.stream_protocol import StreamSetup
 
 __all__ = ["osc"]
@@ -35,6 +37,17 @@ def test_joints_and_confidences_by_name(osc: OscReceiver) -> None:
                 assert got == []
             else:
                 np.testing.assert_allclose(got, [[*pose.joints[i], pose.confidence[i]]], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [[], ["root"], ["abcd", "", "Häuser"], [0.1, -2.5, float("nan")], [1, -1, 2**31 - 1, 2**31, -(2**31), 2**40]],
+)
+def test_a_message_is_that_of_python_osc(values: list[str | int | float]) -> None:
+    builder = OscMessageBuilder("/depthmocap/1/Head")
+    for value in values:
+        builder.add_arg(value)
+    assert osc_message("/depthmocap/1/Head", values) == builder.build().dgram
 
 
 def test_times_that_32_bits_do_not_hold(osc: OscReceiver) -> None:

@@ -47,8 +47,7 @@ class FrontMemory:
         """
         parts = undo_mirrored(parts)
         facing = [i for i, part in enumerate(parts) if np.isfinite(part.front_log_odds)]
-        front = _front(parts)
-        if front is None or not facing:
+        if not facing or (front := _front(parts)) is None:
             return parts
         elapsed_s = (timestamp_ns - self._now_ns) / 1e9
         if self._front is None or not self.knows(timestamp_ns):
@@ -69,16 +68,14 @@ class FrontMemory:
 
 def _front(parts: Sequence[LabelledView]) -> Float[ndarray, "3"] | None:
     """The front of the trunk in the world by the views' own joints, a unit vector; None where it is not known."""
-    fronts = []
-    for part in parts:
-        if part.joints is None:
-            continue
-        places = part.joints[:, :3]
-        across = places[_LEFT].mean(0) - places[_RIGHT].mean(0)
-        front = np.cross(across, places[JOINT_INDEX["Neck"]] - places[JOINT_INDEX["Hip"]])
-        length = float(np.linalg.norm(front))
-        if np.isfinite(length) and length > 0:
-            fronts.append(front / length)
-    total = np.sum(fronts, axis=0) if fronts else np.zeros(3)
+    estimates = [part.joints[:, :3] for part in parts if part.joints is not None]
+    if not estimates:
+        return None
+    places = np.stack(estimates)  # of all views at once: this is done with every set
+    across = places[:, _LEFT].mean(1) - places[:, _RIGHT].mean(1)
+    fronts = np.cross(across, places[:, JOINT_INDEX["Neck"]] - places[:, JOINT_INDEX["Hip"]])
+    lengths = np.linalg.norm(fronts, axis=1)
+    known = np.isfinite(lengths) & (lengths > 0)
+    total = (fronts[known] / lengths[known, None]).sum(0)
     length = float(np.linalg.norm(total))
     return total / length if length > 0 else None

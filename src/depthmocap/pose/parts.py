@@ -110,6 +110,8 @@ def part_statistics(cloud: LabelledCloud, up: str = "z") -> Float32[ndarray, "vi
     end = 0
     for rows, size, camera in zip(parts[:, :REGION_COUNT], cloud.view_sizes, cloud.cameras, strict=True):
         start, end = end, end + size
+        if not size:
+            continue
         moments = part_moments(
             cloud.points_world[start:end], cloud.labels[start:end], cloud.weights[start:end], rotation, REGION_COUNT,
             _SCALE_M,

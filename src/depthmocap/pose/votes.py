@@ -16,7 +16,7 @@ from depthmocap.core.onnx_session import open_network
 from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
 from depthmocap.pose.cloud import MIN_CLOUD_POINTS, LabelledCloud
-from depthmocap.pose.parts import PART_COUNT, body_frame, network_inputs, part_statistics
+from depthmocap.pose.parts import PART_COUNT, body_frame, network_inputs, observed_parts, part_statistics
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -72,6 +72,8 @@ class VotesEstimator:
         places, sure = np.full((len(JOINTS) + len(POINTS), 3), np.nan), np.zeros(len(JOINTS) + len(POINTS))
         if len(cloud) >= MIN_CLOUD_POINTS:
             parts = part_statistics(cloud, up)
+            # Cameras that see nothing of the person take time, and change nothing.
+            parts = parts[observed_parts(parts).any(1)]
             inputs, observed = network_inputs(parts, frame := body_frame(parts))
             if observed.any():
                 (joints, told), logits = _run(self._session, inputs[None])

@@ -11,9 +11,12 @@ A joint that is not observed is left out. Where nobody is in view, the bundle ha
 
 from __future__ import annotations
 
+import functools
 import math
 import socket
-from typing import Any
+import struct
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +26,40 @@ from depthmocap.streaming.stream_protocol import Sample, Stream, StreamSetup
 
 #: Messages of one bundle: with the headers of all layers below 1,500 bytes, beyond which a packet is cut in pieces.
 MOST_BYTES = 1400
+#: The beginning of a bundle that is due at once.
+_BUNDLE = b"#bundle\0" + struct.pack(">Q", 1)
+#: Whole numbers beyond this have 64 bits.
+_LARGEST_INT = 2**31 - 1
+
+
+@functools.lru_cache(4096)
+def _text(text: str) -> bytes:
+    """A text in OSC's form: zeros after it, up to a multiple of four bytes. It is the same names with every set."""
+    data = text.encode()
+    return data + bytes(4 - len(data) % 4)
+
+
+def osc_message(address: str, values: Sequence[str | int | float]) -> bytes:
+    """A message as python-osc builds it, in a tenth of its time: with every set there are some for each person."""
+    tags, parts = ",", []
+    for value in values:
+        if isinstance(value, str):
+            tag, part = "s", _text(value)
+        elif isinstance(value, float):
+            tag, part = "f", struct.pack(">f", value)
+        elif abs(value) <= _LARGEST_INT:
+            tag, part = "i", struct.pack(">i", value)
+        else:
+            tag, part = "h", struct.pack(">q", value)
+        tags += tag
+        parts.append(part)
+    return b"".join([_text(address), _text(tags), *parts])
+
+
+class _Bundle(NamedTuple):
+    """What python-osc sends of a bundle."""
+
+    dgram: bytes
 
 
 class OscSender:
@@ -32,8 +69,6 @@ class OscSender:
     def __init__(self, host: str, port: int) -> None:
         """Raises InputError when python-osc is not installed, or the port cannot be one."""
         try:
-            import pythonosc.osc_bundle_builder
-            import pythonosc.osc_message_builder
             import pythonosc.udp_client
         except ModuleNotFoundError:
             raise missing_extra("python-osc", "stream") from None
@@ -57,19 +92,18 @@ class OscSender:
 
     def send(self, messages: list[tuple[str, list[Any]]]) -> None:
         """Send addresses and their arguments as a bundle, or as several where they do not fit into one packet."""
-        builder = self._osc.osc_bundle_builder
-        bundle, size = builder.OscBundleBuilder(builder.IMMEDIATELY), 0
+        bundle, size = [_BUNDLE], 0
         for address, values in messages:
-            message = self._osc.osc_message_builder.OscMessageBuilder(address)
-            for value in values:
-                message.add_arg(value)
-            built = message.build()
-            if size + built.size > MOST_BYTES:
-                self._client.send(bundle.build())
-                bundle, size = builder.OscBundleBuilder(builder.IMMEDIATELY), 0
-            bundle.add_content(built)
-            size += built.size + 4  # and its length
-        self._client.send(bundle.build())
+            message = osc_message(address, values)
+            if size + len(message) > MOST_BYTES:
+                self._send(bundle)
+                bundle, size = [_BUNDLE], 0
+            bundle += [struct.pack(">i", len(message)), message]
+            size += len(message) + 4  # and its length
+        self._send(bundle)
+
+    def _send(self, bundle: list[bytes]) -> None:
+        self._client.send(_Bundle(b"".join(bundle)))
 
     def close(self) -> None:
         """Close the socket."""
