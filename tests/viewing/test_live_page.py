@@ -19,7 +19,15 @@ from depthmocap.geometry import Rig
 from depthmocap.recordings.open_recording import open_recording
 from depthmocap.streaming.stream_protocol import Sample, StreamSetup
 from depthmocap.viewing import live_page as module
-from depthmocap.viewing.live_page import LATE_DRAWING_S, LivePage, camera_words, following, labels_in_views
+from depthmocap.viewing.live_page import (
+    CLOUD_S,
+    LATE_CLOUD_S,
+    LATE_DRAWING_S,
+    LivePage,
+    camera_words,
+    following,
+    labels_in_views,
+)
 from depthmocap.viewing.live_plots import LivePlots
 from depthmocap.viewing.viewer_page import Page
 
@@ -79,10 +87,10 @@ def test_what_comes_is_drawn_while_somebody_looks(live: LivePage, frames: FrameS
 def test_a_machine_that_is_too_slow_draws_less_often(
     live: LivePage, frames: FrameSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sample, controls, drawn = begin(live, frames), Controls(), list[int]()
+    sample, controls, drawn, clouds_s = begin(live, frames), Controls(), list[int](), list[float]()
     live.controls = controls
     monkeypatch.setattr(live, "_draw_people", lambda sample, trails: drawn.append(len(drawn)))
-    monkeypatch.setattr(live, "_draw_cloud", lambda sample: None)
+    monkeypatch.setattr(live, "_draw_cloud", lambda sample: clouds_s.append(now_s))
     now_s = 100.0
     clock = types.SimpleNamespace(monotonic=lambda: now_s, monotonic_ns=time.monotonic_ns)
     monkeypatch.setattr(module, "time", clock)
@@ -92,6 +100,8 @@ def test_a_machine_that_is_too_slow_draws_less_often(
             controls.dropped += i == 30
             live.send(sample(i))
     assert len(drawn) - 30 == pytest.approx(1 / LATE_DRAWING_S, abs=1)
+    late = sum(cloud_s >= 101 for cloud_s in clouds_s)
+    assert len(clouds_s) - late == pytest.approx(1 / CLOUD_S, abs=2) and late <= 1 / LATE_CLOUD_S
 
 
 def test_the_area_is_drawn_on_the_floor(live: LivePage) -> None:

@@ -34,8 +34,10 @@ PICTURES_S = 0.25
 WORDS_S = 0.5
 #: For so long (seconds) after a set was left out, because the machine is too slow,
 LATE_S = 2.0
-#: the page is drawn only so often (seconds).
+#: the page is drawn only so often (seconds),
 LATE_DRAWING_S = 0.1
+#: and the cloud, which takes most of that.
+LATE_CLOUD_S = 0.25
 #: Seconds in which stopping must be clicked again.
 _ASKED_S = 5.0
 #: Longest side of a depth picture on the page (pixels).
@@ -231,11 +233,12 @@ class LivePage(Stream):
             self._trails.setdefault(number, Trail()).add(pose.joints, pose.timestamp_ns)
         for number in [number for number in self._trails if number not in sample.people]:
             del self._trails[number]
-        if not self.page.server.get_clients() or (self._is_late() and not self._is_due("all", LATE_DRAWING_S)):
+        late = self._is_late()
+        if not self.page.server.get_clients() or (late and not self._is_due("all", LATE_DRAWING_S)):
             return
         with self.page.server.atomic():
             self._draw_people(sample, self._is_due("trails", CLOUD_S))
-            if self._is_due("cloud", CLOUD_S):
+            if self._is_due("cloud", LATE_CLOUD_S if late else CLOUD_S):
                 self._draw_cloud(sample)
             if self._is_due("words", WORDS_S):
                 self._plots.show()
