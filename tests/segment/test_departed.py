@@ -11,9 +11,13 @@ def away(number: int, stature_m: float) -> Departed:
 
 
 @pytest.mark.parametrize(
-    ("statures_m", "expected"), [((), False), ((np.nan,), False), ((1.7,), True), ((np.nan, 1.7), True)]
-)
-def test_nobody_waits_for_their_stature_while_that_of_nobody_who_left_is_known(statures_m, expected):
+    ("statures_m", "expected"),
+    [
+        ((), False), ((np.nan,), False), ((1.7,), True), ((np.nan, 1.7), True), ((1.7, 1.8), True),
+        ((1.7, 1.72), False), ((1.7, 1.72, 1.74), False), ((1.7, 1.72, 1.85), True),
+    ],
+)  # fmt: skip
+def test_nobody_waits_for_their_stature_where_it_would_tell_nothing(statures_m, expected):
     departed = [away(number, stature_m) for number, stature_m in enumerate(statures_m, 1)]
     assert may_match(departed, np.nan) == expected
-    assert any(match_stature(departed, stature_m) for stature_m in (1.5, 1.7, 1.9)) == expected
+    assert any(match_stature(departed, stature_m) for stature_m in np.arange(1.5, 2.0, 0.01)) == expected

@@ -151,6 +151,26 @@ def test_where_the_empty_scene_is_known_the_network_looks_at_a_part_and_finds_th
     np.testing.assert_array_equal(nobody.outputs, whole.outputs)  # nothing changed, so nothing was looked at
 
 
+def test_the_rest_of_a_body_before_the_known_empty_scene_is_its_owners_where_the_network_is_unsure(monkeypatch):
+    def half(self, cells):
+        outputs = np.full((7, *cells.shape[1:]), -9.0, np.float32)
+        person = (cells[0] > 0) & (cells[1] < 0.2)  # nearer than 2.6 m
+        outputs[:4, person] = -4.0
+        outputs[:4, :44][:, person[:44]] = 4.0
+        outputs[4:] = 0.0
+        outputs[5] = (30 - np.arange(cells.shape[1]))[:, None] * 2.0 / 62  # all vote for one height
+        return outputs
+
+    monkeypatch.setattr(PeopleDetector, "_run", half)
+    each = DepthCamera("cam0", 256, 212, 182.0, 182.0, 127.5, 105.5)
+    empty_m = np.full((212, 256), 4.0, np.float32)
+    true = np.zeros(empty_m.shape, np.bool_)
+    true[10:200, 105:151] = True  # 2.1 m high, of which the network is sure of 1.3 m
+    view = View(each, np.where(true, np.float32(2.0), empty_m))
+    (person,) = NetworkSegmenter({"cam0": empty_m})(FrameSet(0, (view,)))
+    assert overlap(person.masks, [true]) > 0.95
+
+
 def test_a_camera_on_its_side_finds_as_much(dressed):
     from depthmocap.synth.body.mesh import REST_POSTURE
 

@@ -58,6 +58,26 @@ def describe_cells(samples_m, cell_px, farthest_m, out):
 
 
 @numba.njit(cache=True, nogil=True)
+def spread_outputs(outputs, logits, offsets):
+    """Copy the network's outputs: the logits of each cell's four samples to these, and the offsets of the cells.
+
+    Args:
+        outputs: (7, h, w).
+        logits: (2h, 2w).
+        offsets: (3, h, w).
+    """
+    height, width = outputs.shape[1:]
+    for i in range(height):
+        for k in range(2):
+            for j in range(width):
+                logits[2 * i + k, 2 * j] = outputs[2 * k, i, j]
+                logits[2 * i + k, 2 * j + 1] = outputs[2 * k + 1, i, j]
+        for axis in range(3):
+            for j in range(width):
+                offsets[axis, i, j] = outputs[4 + axis, i, j]
+
+
+@numba.njit(cache=True, nogil=True)
 def box_of_full_cells(marked):
     """First row, end of rows, first column and end of columns of the cells of which all four samples are marked; the
     ends are 0 where there is none.

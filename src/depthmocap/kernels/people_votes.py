@@ -163,14 +163,20 @@ def paint_people(depth_m, limit_m, row_starts, column_starts, samples_m, labels,
             if labels[i, j]:
                 first_row, last_row = min(first_row, i), i
                 first_column, last_column = min(first_column, j), max(last_column, j)
+    low, high = np.zeros(columns, np.uint8), np.zeros(columns, np.uint8)
+    # The nine samples of those that have a depth.
+    depths, costs, owners, frees = np.empty(9, np.float32), np.empty(9), np.empty(9, np.uint8), np.empty(9, np.bool_)
     for i in range(max(first_row - 1, 0), min(last_row + 2, rows)):
+        top, bottom = max(i - 1, 0), min(i + 2, rows)
+        for x in range(columns):
+            low[x] = high[x] = labels[top, x]
+            for y in range(top + 1, bottom):
+                low[x], high[x] = min(low[x], labels[y, x]), max(high[x], labels[y, x])
         for j in range(max(first_column - 1, 0), min(last_column + 2, columns)):
-            top, bottom = max(i - 1, 0), min(i + 2, rows)
             left, right = max(j - 1, 0), min(j + 2, columns)
-            least, most = 255, 0
-            for y in range(top, bottom):
-                for x in range(left, right):
-                    least, most = min(least, labels[y, x]), max(most, labels[y, x])
+            least, most = low[left], high[left]
+            for x in range(left + 1, right):
+                least, most = min(least, low[x]), max(most, high[x])
             if most == 0:
                 continue
             if least == most:  # within one person: what is near the middle of nine in depth is theirs
@@ -181,19 +187,26 @@ def paint_people(depth_m, limit_m, row_starts, column_starts, samples_m, labels,
                         if z > 0 and abs(z - middle) < step_m and (free or z < limit_m[v, u]):
                             out[v, u] = most
                 continue
+            count, any_free = 0, False
+            for y in range(top, bottom):
+                for x in range(left, right):
+                    if samples_m[y, x] > 0:
+                        depths[count], owners[count] = samples_m[y, x], labels[y, x]
+                        costs[count] = np.float32(0.01) * (abs(y - i) + abs(x - j))
+                        frees[count] = beyond_limit[y, x] > 0
+                        any_free |= frees[count]
+                        count += 1
             for v in range(row_starts[i], row_starts[i + 1]):
                 for u in range(column_starts[j], column_starts[j + 1]):
                     z = depth_m[v, u]
-                    if not z > 0:
+                    before = z < limit_m[v, u]
+                    if not z > 0 or not (before or any_free):
                         continue
-                    best, label, free = np.float32(1e9), 0, False
-                    for y in range(top, bottom):
-                        for x in range(left, right):
-                            other = samples_m[y, x]
-                            if other > 0:
-                                gap = abs(other - z)
-                                cost = gap + np.float32(0.01) * (abs(y - i) + abs(x - j))
-                                if cost < best and gap < step_m:
-                                    best, label, free = cost, labels[y, x], beyond_limit[y, x] > 0
-                    if label and (z < limit_m[v, u] or free):
-                        out[v, u] = label
+                    best, chosen = 1e9, -1
+                    for k in range(count):
+                        gap = abs(depths[k] - z)
+                        cost = gap + costs[k]
+                        if cost < best and gap < step_m:
+                            best, chosen = cost, k
+                    if chosen >= 0 and owners[chosen] and (before or frees[chosen]):
+                        out[v, u] = owners[chosen]

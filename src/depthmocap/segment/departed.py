@@ -63,7 +63,9 @@ def may_match(departed: Sequence[Departed], stature_m: float) -> bool:
     They may not where two who have left are alike, and either would do.
     """
     if np.isnan(stature_m):
-        return any(away.stature_m > 0 for away in departed)
+        known = np.array([away.stature_m for away in departed if away.stature_m > 0])
+        apart_m = np.abs(known[:, None] - known) + np.diag(np.full(len(known), np.inf))
+        return bool((apart_m.min(1, initial=np.inf) >= CLEARLY_M).any())
     near = [away for away in departed if abs(away.stature_m - stature_m) <= MAYBE_HEIGHT_M]
     near.sort(key=lambda away: abs(away.stature_m - stature_m))
     alike = len(near) > 1 and abs(near[0].stature_m - near[1].stature_m) < 2 * CLEARLY_M

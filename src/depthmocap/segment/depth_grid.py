@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
 from depthmocap.geometry import DepthCamera
-from depthmocap.kernels.grid_cells import box_of_full_cells, describe_cells, sample_depth
+from depthmocap.kernels.grid_cells import box_of_full_cells, describe_cells, sample_depth, spread_outputs
 
 #: Focal length in cells. At 3 m a cell is 5 cm wide, a sample half of that.
 CELL_FOCAL_PX = 62.0
@@ -101,15 +101,16 @@ class DepthGrid:
         """The network's outputs as the camera has its image: logits of the samples, and offsets of the cells (metres,
         in the camera's axes)."""
         rows, columns = outputs.shape[1:]
-        logits = outputs[:4].reshape(2, 2, rows, columns).transpose(2, 0, 3, 1).reshape(2 * rows, 2 * columns)
-        offsets = outputs[4:]
+        logits = np.empty((2 * rows, 2 * columns), np.float32)
+        offsets = np.empty((3, rows, columns), np.float32)
+        spread_outputs(np.ascontiguousarray(outputs, np.float32), logits, offsets)
         for _ in range(self._turns):
             # Right in the turned image is down in the one before, and down there is left.
             right, down, forwards = offsets
             offsets = np.stack([-down, right, forwards])
         if self._turns:
             logits, offsets = np.rot90(logits, -self._turns), np.rot90(offsets, -self._turns, axes=(1, 2))
-        return np.ascontiguousarray(logits), np.array(offsets, order="C")  # not a part of the outputs
+        return np.ascontiguousarray(logits), np.ascontiguousarray(offsets)
 
 
 def _samples(size: int, focal_px: float) -> tuple[Int[ndarray, " n"], Int[ndarray, " m"]]:

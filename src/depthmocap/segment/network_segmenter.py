@@ -38,8 +38,8 @@ from depthmocap.segment.vote_clusters import Votes
 STEP_M = 0.1
 #: What continues somebody's surface before the empty scene is theirs, too, if its logit is above this,
 GROW_LOGIT = -5.0
-#: so far from what the network found (metres): hands and feet.
-GROW_M = 0.35
+#: so far from what the network found (metres): hands and feet, and legs of who is far.
+GROW_M = 0.8
 #: Somebody is certain to be a person after some sets; so many first sets of a recording are seen before it begins.
 _SETS_BEFORE = 8
 #: Where the empty scene is known, the network sees the whole picture in one of so many sets, in the others a part.
@@ -306,7 +306,10 @@ def highest_near(
         reach = int(np.ceil(_HEAD_M * camera.fx / z))
         rows = np.s_[max(int(v) - reach, 0) : max(int(v) + reach + 1, 0)]
         columns = np.s_[max(int(u) - reach, 0) : max(int(u) + reach + 1, 0)]
-        near = (image[rows, columns] == label) & (np.abs(view.depth_m[rows, columns] - z) < STEP_M)
+        own = image[rows, columns] == label
+        if not own.any():
+            continue
+        near = own & (np.abs(view.depth_m[rows, columns] - z) < STEP_M)
         if np.count_nonzero(near) < 3:
             continue
         depth_m, rays = view.depth_m[rows, columns][near], camera.rays[rows, columns][near]
