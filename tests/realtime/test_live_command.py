@@ -1,6 +1,7 @@
 """``depthmocap live`` on a small recording, with a pipeline that costs nothing: its files, and what it says."""
 
 import contextlib
+import io
 import json
 import sys
 from pathlib import Path
@@ -80,6 +81,16 @@ def test_streams_that_are_full_end_nothing(recording, tmp_path, monkeypatch):
         assert main(["live", recording, "--out", str(tmp_path / "out")]) == 0
     assert len(read_csv(tmp_path / "out" / "pose.csv")[0]) == SETS
     assert len(read_bvh(tmp_path / "out" / "pose.bvh")[0]) == SETS
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_the_dashboard_is_drawn_in_a_terminal_alone(recording, monkeypatch, terminal):
+    drawn = []
+    monkeypatch.setattr(command, "DRAW_S", 0.0)
+    monkeypatch.setattr(command, "draw_dashboard", lambda *told: drawn.append(told) or "cameras")
+    out = io.StringIO()
+    run_live(LiveSettings((recording,)), Terminal(file=out, force_terminal=terminal))
+    assert bool(drawn) == terminal == ("cameras" in out.getvalue())
 
 
 def test_a_filter_that_waits_gives_every_pose_once(recording, tmp_path, monkeypatch):

@@ -132,9 +132,10 @@ class _Smoothed:
     given: int = 0
     last_ns: int = 0
 
-    def __call__(self, pose: Pose) -> Pose:
+    def __call__(self, pose: Pose, smoothed: Pose | None = None) -> Pose:
+        """``smoothed``: what the filter, which is another's too, has made of the pose already."""
         self.given, self.last_ns = self.given + 1, pose.timestamp_ns
-        return self.filter(pose)
+        return self.filter(pose) if smoothed is None else smoothed
 
     @property
     def is_final(self) -> bool:
@@ -167,6 +168,8 @@ class Pipeline:
         self._classifier, self._estimator, self.segment, self._up = classifier, estimator, segment, up
         self.smoothing, self.devices = smoothing, NetworkDevices()
         self._filters: dict[int, _Smoothed] = {}
+        #: The filter, once it was given joints.
+        self._begun: PoseFilter | None = None
         self._fronts: dict[int, FrontMemory] = {}
         #: Of sets that are labelled sparingly: their number, and in the last one the cameras that see each person.
         self._turn, self._seen = 0, list[list[str]]()
@@ -176,6 +179,7 @@ class Pipeline:
         self.segment.reset()
         self._filters.clear()
         self._fronts.clear()
+        self._begun = None
         if self.smoothing is not None:
             self.smoothing.reset()
 
@@ -187,6 +191,8 @@ class Pipeline:
 
     def finish(self) -> list[Pose]:
         """The poses that a filter which waits has held back, at the end of a stream; forgets past poses."""
+        self._part(None, 0)
+        self._begun = None
         return [] if self.smoothing is None else self.smoothing.finish()
 
     def finish_people(self) -> dict[int, list[Pose]]:
@@ -247,7 +253,7 @@ class Pipeline:
             if person.doubt:
                 raw[i] = raw[i].doubted(person.doubt)
         clock.append(time.perf_counter())
-        followed = raw[0] if self.smoothing is None else self.smoothing(raw[0])
+        followed = raw[0] if self.smoothing is None else self._follow(self.smoothing, raw[0], numbers[0])
         final = self._gone(frames.timestamp_ns)
         poses = [self._smooth(person.number, pose, followed, final) for person, pose in zip(persons, raw, strict=False)]
         clock.append(time.perf_counter())
@@ -271,6 +277,25 @@ class Pipeline:
         self._fronts = {n: memory for n, memory in self._fronts.items() if memory.knows(now_ns)}
         return merge_agreeing_views(self._fronts.setdefault(number, FrontMemory())(parts, now_ns))
 
+    def _follow(self, smoothing: PoseFilter, pose: Pose, number: int | None) -> Pose:
+        """The smoothed pose of the person who is followed. Where several are, somebody who has been that from the
+        filter's first joints on has no other filter: it would make the same of the same poses."""
+        several = self.segment.people > 1
+        self._part(number if several else None, pose.timestamp_ns)
+        if self._begun is not smoothing and np.isfinite(pose.joints).any():
+            if several and number is not None and number not in self._filters and not smoothing.delay_frames:
+                smoothing.reset()  # as a filter of their own would begin
+                self._filters[number] = _Smoothed(smoothing)
+            self._begun = smoothing
+        return smoothing(pose)
+
+    def _part(self, number: int | None, now_ns: int) -> None:
+        """Give whoever shares the followed person's filter one of their own, unless they are followed still."""
+        for other, smoother in self._filters.items():
+            still = other == number and 0 <= now_ns - smoother.last_ns <= MAX_GAP_S * 1e9
+            if smoother.filter is self.smoothing and not still:
+                smoother.filter = copy.deepcopy(smoother.filter)
+
     def _gone(self, now_ns: int) -> dict[int, list[Pose]]:
         """What filters held back of people whom they forget, by number; a filter begins anew when somebody returns."""
         longest_ns = MAX_GAP_S * 1e9
@@ -290,7 +315,7 @@ class Pipeline:
             own_filter.reset()
             self._filters[number] = _Smoothed(own_filter)
         smoother = self._filters[number]
-        smoothed = smoother(pose)
+        smoothed = smoother(pose, followed if smoother.filter is self.smoothing else None)
         if smoother.is_final:
             final.setdefault(number, []).append(smoothed)
         return smoothed

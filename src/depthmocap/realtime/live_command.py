@@ -262,6 +262,7 @@ def _write_poses(
     """Write poses until the end."""
     start_s = drawn_s = time.monotonic()
     interrupted, poses_taken = False, 0
+    watched = console.is_terminal or console.is_jupyter  # a file would get nothing of it
     with Live(console=console, auto_refresh=False, transient=True) as screen:
         try:
             for live_pose in capture:
@@ -277,7 +278,7 @@ def _write_poses(
                 if people_files is not None:
                     people_files.write(live_pose.result.final)
                 now = time.monotonic()
-                if now - drawn_s >= DRAW_S:
+                if watched and now - drawn_s >= DRAW_S:
                     drawn_s = now
                     picture = draw_dashboard(
                         capture.statuses(), capture.statistics, capture.dropped, now - start_s, list(capture.problems)
