@@ -39,9 +39,9 @@ def test_a_pixel_has_the_label_of_the_sample_that_it_continues(seed):
     of_pixel = np.ix_(*(np.searchsorted(each, np.arange(each[-1]), "right") - 1 for each in starts))
     depth_m = (samples_m[of_pixel] + rng.normal(0, 0.05, samples_m[of_pixel].shape)).astype(np.float32)
     depth_m[rng.uniform(size=depth_m.shape) < 0.1] = 0
-    limit_m = rng.choice(np.float32([2.4, 2.7, 9.0]), depth_m.shape)
+    limit_m = rng.choice(np.array([2.4, 2.7, 9.0], np.float32), depth_m.shape)
     beyond = (rng.uniform(size=labels.shape) < 0.2).astype(np.uint8)
     out = np.zeros(depth_m.shape, np.uint8)
-    paint_people(depth_m, limit_m, *starts, samples_m, labels, beyond, STEP_M, out)
+    paint_people(depth_m, limit_m, starts[0], starts[1], samples_m, labels, beyond, STEP_M, out)
     np.testing.assert_array_equal(out, painted_slowly(depth_m, limit_m, starts, samples_m, labels, beyond))
     assert {0, 1, 2} >= set(np.unique(out)) > {0}
