@@ -8,7 +8,10 @@ from measurements import Measurement, Scale, share
 
 PAGES = ("README.md", "docs/results/index.md")
 ORDINARY = ("seen", "new clothes", "new sensor", "seated", "hands on body")
-RARE = ("floor", "acrobatic", "overhead", "cut knees", "cut hips", "cut chest", "cut waist", "cut side", "cut edge")
+RARE = (
+    "leaning", "floor", "acrobatic", "overhead", "cut knees", "cut hips", "cut chest", "cut waist", "cut side",
+    "cut edge",
+)  # fmt: skip
 _MISPLACED = ("--misplaced-mm", "10", "--misplaced-deg", "0.5")
 
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from depthmocap.classify.classifier import Classifier, packaged_weights
-from depthmocap.classify.window import make_paper_window
+from depthmocap.classify.classifier import Classifier, packaged_leaning, packaged_weights
+from depthmocap.classify.label_network import WindowPrediction
+from depthmocap.classify.window import Window, make_paper_window
 from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry import DepthCamera, look_at
@@ -135,6 +136,29 @@ def test_who_lies_or_is_upside_down_is_seen_upright(
     monkeypatch.setattr("depthmocap.classify.classifier.trunk_lean", lambda joints: 0.0)
     assert share_right(askew) < seen - 0.02
     assert share_right(CAMERA) == upright
+
+
+def test_only_leaning_people_are_seen_again_by_the_network_for_them(
+    default_body: Body, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    classifier = Classifier(threads=1)
+    of_leaning, asked = classifier._of_leaning, []
+
+    def ask(windows: list[Window]) -> list[WindowPrediction]:
+        asked.append(windows[0])
+        return of_leaning(windows)
+
+    monkeypatch.setattr(classifier, "_of_leaning", ask)
+    depth, labels = render_body(default_body.pose(PosturePrior.load().sample(np.random.default_rng(0))[0]), CAMERA)
+    upright = View(CAMERA, depth, labels > 0)
+    hung = upright.turned(1)
+    assert upright.mask is not None and hung.mask is not None
+    classifier.label_views([upright], [upright.mask])
+    assert not asked
+    classifier.label_views([hung], [hung.mask])
+    assert len(asked) == 1 and abs(asked[0].turn_rad) == pytest.approx(np.pi / 2, abs=0.2)
+    assert of_leaning.path == packaged_leaning()
+    assert Classifier(packaged_weights(), threads=1)._of_leaning.path == packaged_weights()  # by itself
 
 
 def test_the_packaged_network_is_ours() -> None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from depthmocap.body.regions import REGION
 from depthmocap.body.skeleton import JOINT_INDEX
@@ -21,6 +22,7 @@ from depthmocap.pose.parts import (
     PROBABILITY,
     TO_CAMERA,
     body_frame,
+    heading_frame,
     network_inputs,
     part_statistics,
     transform_parts,
@@ -128,7 +130,7 @@ def test_joints_that_cameras_tell_are_parts(posed):
     np.testing.assert_allclose(rows[:, CENTRE], posed.joints, atol=1e-6)
     assert (rows[:, COUNT] == 1).all() and not rows[:, AREA].any()
     assert (np.diff(rows[:, PROBABILITY]) < 0).all()  # the larger the error to expect
-    # The body's frame comes from the regions, and joints are put into it with them.
+    # The heading of who stands comes from the regions, and joints are put into the frame with them.
     frame = body_frame(parts)
     np.testing.assert_array_equal(frame.rotation, body_frame(part_statistics(merge_views([plain, guessing]))).rotation)
     inputs, observed = network_inputs(parts, frame)
@@ -168,6 +170,51 @@ def test_moved_parts_are_those_of_moved_points(posed):
     before = network_inputs(parts, body_frame(parts))[0]
     after = network_inputs(truth, body_frame(truth))[0]
     np.testing.assert_allclose(after, before, atol=5e-3)
+
+
+def _lying(parts: np.ndarray, turn: Rotation) -> tuple[np.ndarray, np.ndarray]:
+    """Parts as those of somebody who lies, and the rotation."""
+    rotation = turn.as_matrix()
+    of_views = np.broadcast_to(rotation, (len(parts), 3, 3))
+    return transform_parts(parts, of_views, np.zeros((len(parts), 3))), rotation
+
+
+@pytest.mark.parametrize("told", ["joints", "regions"])
+@pytest.mark.parametrize("turn_deg", [(90, 0, 0), (0, -80, 0), (60, 60, 0), (150, 10, 40), (0, 180, 0)])
+def test_the_frame_of_who_lies_has_the_trunk_up(posed: PosedPerson, told: str, turn_deg: tuple[float, ...]) -> None:
+    views = person_views(posed, (0.4, 2.5))
+    if told == "joints":
+        views = [view._replace(joints=np.column_stack([posed.joints, np.full(18, 0.02)])) for view in views]
+    standing = part_statistics(merge_views(views))
+    parts, rotation = _lying(standing, Rotation.from_euler("xyz", turn_deg, degrees=True))
+    frame = body_frame(parts)
+    joints = frame.from_world(posed.joints @ rotation.T)
+    trunk = joints[JOINT_INDEX["Neck"]] - joints[JOINT_INDEX["Hip"]]
+    assert trunk[2] / np.linalg.norm(trunk) > np.cos(np.radians(5 if told == "joints" else 25))
+    np.testing.assert_allclose(frame.rotation @ frame.rotation.T, np.eye(3), atol=1e-9)
+    # What the network reads is nearly that of the same person who stands, whose heading is found from fewer cues.
+    np.testing.assert_allclose(frame.to_world(joints), posed.joints @ rotation.T, atol=1e-6)
+    across = joints[JOINT_INDEX["LShoulder"]] - joints[JOINT_INDEX["RShoulder"]]
+    assert np.degrees(np.arctan2(-across[0], across[1])) == pytest.approx(0, abs=25)
+
+
+def test_the_frame_leans_without_a_jump(posed: PosedPerson) -> None:
+    views = [
+        view._replace(joints=np.column_stack([posed.joints, np.full(18, 0.02)]))
+        for view in person_views(posed, (0.4, 2.5))
+    ]
+    standing = part_statistics(merge_views(views))
+    angles = np.linspace(0, np.pi / 2, 181)
+    parts = np.stack([_lying(standing, Rotation.from_rotvec([angle, 0, 0]))[0] for angle in angles])
+    frames = body_frame(parts)
+    np.testing.assert_allclose(frames.rotation[0], heading_frame(standing).rotation, atol=1e-12)
+    steps = [
+        Rotation.from_matrix(b @ a.T).magnitude() for a, b in zip(frames.rotation, frames.rotation[1:], strict=False)
+    ]
+    assert np.degrees(max(steps)) < 5  # of half a degree each
+    ups = frames.rotation[:, 2]
+    assert (ups[angles < 0.2] == [0, 0, 1]).all()
+    assert np.arccos(ups[-1, 2]) > 1.2
 
 
 def test_inputs_of_unseen_regions_are_zero(posed):

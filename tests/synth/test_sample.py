@@ -11,7 +11,7 @@ from depthmocap.body.skeleton import JOINT_INDEX
 from depthmocap.errors import InputError
 from depthmocap.geometry import is_rigid, transform_points
 from depthmocap.synth.body.mesh import BodyModel
-from depthmocap.synth.motion.postures import PosturePrior
+from depthmocap.synth.motion.postures import PosturePrior, trunk_angle
 from depthmocap.synth.people.bodies import random_dressed_body
 from depthmocap.synth.people.wardrobe import HELD_OUT_FAMILY
 from depthmocap.synth.sample import (
@@ -281,3 +281,9 @@ def test_everybody_sits_or_touches_themselves_however_varied_they_are() -> None:
     for _ in range(50):
         one = postures.variation.draw(rng)
         assert (one.sit, one.touch) == (1.0, 1.0)
+
+
+def test_everybody_leans_where_asked_for() -> None:
+    postures = Sampler(Recipe("open", leaning=True), 0)._postures
+    rng = np.random.default_rng(0)
+    assert all(trunk_angle(postures.sample(rng)[0]) > 0.6 for _ in range(30))

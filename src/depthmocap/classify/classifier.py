@@ -14,43 +14,31 @@ from numpy import ndarray
 
 from depthmocap.body.regions import MIRROR as MIRRORED_REGIONS
 from depthmocap.body.regions import REGION_NAMES, TURNED
-from depthmocap.body.skeleton import JOINTS, MIRROR
+from depthmocap.body.skeleton import MIRROR
 from depthmocap.body.trunk import front_of_trunk, trunk_lean
 from depthmocap.classify.front import FrontNetwork, front_of_labels, log_odds
-from depthmocap.classify.window import WINDOW_MAKERS, Window, WindowMaker, make_window
-from depthmocap.core.onnx_session import open_network
+from depthmocap.classify.label_network import LabelNetwork, WindowPrediction, no_joints
+from depthmocap.classify.window import Window, make_window
 from depthmocap.core.shared_work import SharedWork
-from depthmocap.errors import InputError
 from depthmocap.frames import View
 from depthmocap.geometry import z_up_from
-from depthmocap.kernels.dense_head import label_dense_pixels
-from depthmocap.kernels.head import label_groups
-
-#: Names of each network's outputs.
-_OUTPUTS = {
-    "fast": ["probabilities", "joints"],
-    "paper": ["logits"],
-}
-#: The function that reads the labels from each network's first output.
-_READERS = {"fast": label_groups, "paper": label_dense_pixels}
-
 
 #: Labels that a front and a back have in different places: those of the trunk and the head.
 _FACING = TURNED != MIRRORED_REGIONS
 #: Labels of legs below the thighs.
 _LOWER_LEGS = np.array([name[:-2] in ("knee", "shin", "ankle", "forefoot") for name in REGION_NAMES])
-#: The second network is asked about people who are cut off: less than these shares of their pixels are lower legs,
+#: The network of fronts is asked about people who are cut off: less than these shares of their pixels are lower legs,
 _FEWEST_LOWER_LEGS = 0.05
 #: or trunk and head.
 _LEAST_FACING = 0.15
 #: But where the labels of trunk and head have a mean probability above this, front and back are hardly ever mistaken
-#: for each other: it is not asked,
+#: for each other: that network is not asked,
 _SURE_OF_FRONT = 0.76
 #: and these are the log odds.
 _SURE_LOG_ODDS = 5.0
-#: Log odds of labels and joints that imply the same front to be right about it, before the second network is asked.
+#: Log odds of labels and joints that imply the same front to be right about it, before that network is asked.
 _PRIOR_LOG_ODDS = 0.5
-#: The second network is so much less sure on people whom it was not trained on.
+#: It is so much less sure on people whom it was not trained on.
 _CALIBRATION = 0.85
 #: Somebody whose trunk leans by more than this in the picture is seen again, upright (radians),
 _LYING_RAD = 0.8
@@ -65,20 +53,15 @@ def packaged_weights() -> Path:
     return Path(str(importlib.resources.files("depthmocap.classify") / "weights" / "fast.onnx"))
 
 
+def packaged_leaning() -> Path:
+    """The 8-bit ONNX file of the packaged network that sees leaning people again."""
+    return Path(str(importlib.resources.files("depthmocap.classify") / "weights" / "leaning.onnx"))
+
+
 class ViewPrediction(NamedTuple):
     """The prediction for a view: regions 0–43 and their probabilities at the masked pixels, 0 elsewhere; the joints'
     world positions with their expected errors (metres), NaN where there are none; and the log odds that what is told
     front is not the back (``FrontNetwork``), NaN where unknown."""
-
-    labels: UInt8[ndarray, "h w"]
-    confidence: Float[ndarray, "h w"]
-    joints: Float[ndarray, "18 4"]
-    front_log_odds: float = float("nan")
-
-
-class WindowPrediction(NamedTuple):
-    """The prediction for a window: as of a view, but the joints' positions are in the window
-    (``Window.positions_from_world``), with the logarithm of their expected errors."""
 
     labels: UInt8[ndarray, "h w"]
     confidence: Float[ndarray, "h w"]
@@ -127,19 +110,11 @@ class _Shown:
     window: Window | None
 
 
-def _mean_probability(prediction: WindowPrediction) -> float:
-    """Of the labels of a window; 0 without any."""
-    return float(prediction.confidence.sum()) / max(int(np.count_nonzero(prediction.labels)), 1)
-
-
-def _no_joints() -> Float[ndarray, "18 4"]:
-    return np.full((len(JOINTS), 4), np.nan)
-
-
 class Classifier:
     """A trained body-part classifier: depth in, region and probability of every pixel out (paper, Sec. IV-A).
 
-    Somebody whose trunk does not point up in the picture is seen again in a window that is turned so that it does.
+    Somebody whose trunk does not point up in the picture is seen again in a window that is turned so that it does, by
+    a network that was trained on such people.
     Labels that take a back for a front, or a front for a back, are turned round (``FrontNetwork``).
 
     Views are labelled in parallel, each by one thread from the depth image to the labels, or two at once where there
@@ -152,63 +127,42 @@ class Classifier:
         make_window: makes this network's windows.
     """
 
-    def __init__(self, path: Path | None = None, threads: int | None = None, fronts: bool = True) -> None:
+    def __init__(
+        self, path: Path | None = None, threads: int | None = None, fronts: bool = True, leaning: Path | None = None
+    ) -> None:
         """Load an ONNX file written by ``depthmocap train classifier``; the packaged one by default.
 
         Args:
             fronts: turn labels round by the packaged ``FrontNetwork``; never those of the paper's network.
             threads: views labelled at a time; by default as many as the cores that this process may use.
+            leaning: the network that sees leaning people again, of ``train classifier --leaning``; by default the
+                packaged one with the packaged classifier, and with another classifier that itself.
 
         Raises:
-            InputError: when the file is missing or not such a network.
+            InputError: when a file is missing or not such a network.
         """
-        source = path or packaged_weights()
-        self._session = open_network(source, "give the classifier.onnx of a training run")
-        names = [node.name for node in self._session.get_inputs()], [node.name for node in self._session.get_outputs()]
-        name = self._session.get_modelmeta().custom_metadata_map.get("network")
-        if names[0] != ["windows"] or name is None:
-            raise InputError(f"{source} is not a depthmocap classifier: its inputs and outputs are {names}")
-        if names[1] != _OUTPUTS.get(name):
-            known = ", ".join(f"{network!r} with {' and '.join(outputs)}" for network, outputs in _OUTPUTS.items())
-            raise InputError(
-                f"{source} holds a network {name!r} with {' and '.join(names[1])}, and this version knows {known}: "
-                "update depthmocap, or export the classifier anew"
-            )
-        self.path, self.network, self.predicts_joints = source, name, "joints" in names[1]
-        self.make_window: WindowMaker = WINDOW_MAKERS[name]
-        self._read = _READERS[name]
+        self._network = LabelNetwork(path or packaged_weights())
+        if leaning is None and path is None:
+            leaning = packaged_leaning()
+        self._of_leaning = self._network if leaning is None else LabelNetwork(leaning)
+        self.path, self.network = self._network.path, self._network.name
+        self.predicts_joints, self.make_window = self._network.predicts_joints, self._network.make_window
         self._front = FrontNetwork() if fronts and self.predicts_joints else None
         self._work = SharedWork(threads)
-
-    def _label_windows(self, windows: Sequence[Window]) -> list[WindowPrediction]:
-        """The predictions for windows of one size by one run of the network, each as if it were alone."""
-        inputs = windows[0].inputs[None] if len(windows) == 1 else np.stack([window.inputs for window in windows])
-        outputs = [np.asarray(output) for output in self._session.run(None, {"windows": inputs})]
-        predictions, first = [], 0
-        for i, window in enumerate(windows):
-            mask = window.inputs[1] > 0
-            labels, confidence = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
-            if self._read is label_groups:  # which has the groups of one window after those of the other
-                first += self._read(outputs[0][first:], mask, labels, confidence)
-            else:
-                self._read(outputs[0][i], mask, labels, confidence)
-            joints = outputs[1][i].astype(np.float64) if self.predicts_joints else _no_joints()
-            predictions.append(WindowPrediction(labels, confidence, joints))
-        return predictions
 
     def _with_trunk_up(
         self, view: View, mask: Bool[ndarray, "_ _"], window: Window, prediction: WindowPrediction
     ) -> tuple[Window, WindowPrediction]:
         """The window of a view and the prediction for it; where its joints tell that the trunk does not point up, those
-        for a window that is turned so that it does, if their labels are surer. The network knows people best who are
-        upright in their window, and tells from any how they lie."""
-        probability, lean = _mean_probability(prediction), trunk_lean(prediction.joints[:, :3])
+        for a window that is turned so that it does, if their labels are surer. Networks know people best who are
+        upright in their window, and tell from any how they lie."""
+        probability, lean = prediction.mean_probability, trunk_lean(prediction.joints[:, :3])
         if not abs(lean) > (_LEANING_RAD if probability < _SURE_OF_LABELS else _LYING_RAD):
             return window, prediction  # also for a network without joints, whose lean is NaN
         turned = make_window(view.depth_m, mask, view.camera, lean)
         assert turned is not None  # as the window before
-        (of_turned,) = self._label_windows([turned])
-        return (turned, of_turned) if _mean_probability(of_turned) > probability else (window, prediction)
+        (of_turned,) = self._of_leaning([turned])
+        return (turned, of_turned) if of_turned.mean_probability > probability else (window, prediction)
 
     def _with_front(self, prediction: WindowPrediction, window: Window) -> WindowPrediction:
         """The prediction with the log odds of its front, and turned round where these say so."""
@@ -226,7 +180,7 @@ class Classifier:
     def label_mask(self, view: View, mask: Bool[ndarray, "_ _"]) -> LabelledMask:
         """The prediction for a view, without turning the image upright."""
         window = self.make_window(view.depth_m, mask, view.camera)
-        return self._labelled(view, mask, window, None if window is None else self._label_windows([window])[0])
+        return self._labelled(view, mask, window, None if window is None else self._network([window])[0])
 
     def _labelled(
         self, view: View, mask: Bool[ndarray, "_ _"], window: Window | None, found: WindowPrediction | None
@@ -234,7 +188,7 @@ class Classifier:
         """The prediction for a view from the network's for its window."""
         if window is None or found is None:
             empty = np.zeros(mask.shape, np.uint8), np.zeros(mask.shape, np.float32)
-            return LabelledMask(ViewPrediction(*empty, _no_joints()), None, None)
+            return LabelledMask(ViewPrediction(*empty, no_joints()), None, None)
         window, found = self._with_trunk_up(view, mask, window, found)
         found = self._with_front(found, window)
         labels, confidence = window.labels_to_image(found.labels, found.confidence, mask)
@@ -264,7 +218,7 @@ class Classifier:
 
         def label(places: list[int]) -> list[ViewPrediction]:
             windows = [window for place in places if (window := shown[place].window) is not None]
-            found = self._label_windows(windows) if windows else [None] * len(places)
+            found = self._network(windows) if windows else [None] * len(places)
             return [self._prediction(shown[place], each) for place, each in zip(places, found, strict=True)]
 
         of_views = [item.window for item in shown]
@@ -282,7 +236,7 @@ class Classifier:
         self, view: View, mask: Bool[ndarray, "_ _"], up_world: Float[ndarray, "3"] | None
     ) -> ViewPrediction:
         shown = self._show_upright(view, mask, up_world)
-        return self._prediction(shown, None if shown.window is None else self._label_windows([shown.window])[0])
+        return self._prediction(shown, None if shown.window is None else self._network([shown.window])[0])
 
     def _show_upright(self, view: View, mask: Bool[ndarray, "_ _"], up_world: Float[ndarray, "3"] | None) -> _Shown:
         quarters = 0 if up_world is None else view.camera.quarters_upright(up_world)

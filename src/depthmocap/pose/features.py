@@ -14,14 +14,14 @@ from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
 from depthmocap.kernels.stats import region_statistics, sort_by_region
 from depthmocap.pose.cloud import LabelledCloud
-from depthmocap.pose.parts import body_frame, part_statistics
+from depthmocap.pose.parts import heading_frame, part_statistics
 
 #: Per region, in this order: median (3), covariance (9, row-major), its eigenvalues (3, ascending), standard
 #: deviation (3), minimum (3), maximum (3).
 FEATURES_PER_REGION = 24
 FEATURE_COUNT = REGION_COUNT * FEATURES_PER_REGION
 #: Frame of the features: the Z-up world, as in the paper; the same centred on the cloud; or also rotated so that the
-#: body faces +x (``parts.body_frame``).
+#: body faces +x (``parts.heading_frame``).
 FeatureFrame = Literal["world", "cloud", "body"]
 #: A region with fewer points counts as unobserved: its statistics would be those of stray pixels.
 MIN_POINTS = 8
@@ -76,7 +76,7 @@ def cloud_features(
     except ValueError as error:
         raise InputError(str(error)) from None
     if frame == "body":
-        rotation = body_frame(part_statistics(cloud, up)).rotation @ rotation
+        rotation = heading_frame(part_statistics(cloud, up)).rotation @ rotation
     by_region, starts, weight_sums, bad = sort_by_region(
         np.ascontiguousarray(cloud.points_world),
         np.ascontiguousarray(cloud.labels),

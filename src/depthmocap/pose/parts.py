@@ -1,5 +1,7 @@
 """Statistics of each body part in each camera, and the body's frame, in which the votes network reads them.
 
+In the body's frame the trunk points up, whether the person stands, lies or hangs upside down.
+
 The parts are the 43 regions, then the 18 joints. A joint's statistics are the position that the network estimates from
 that camera alone.
 
@@ -14,6 +16,7 @@ import dataclasses
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 from numpy import ndarray
+from scipy.spatial.transform import Rotation
 
 from depthmocap.body.regions import MIRROR, REGION, REGION_COUNT, REGION_NAMES
 from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
@@ -45,10 +48,21 @@ def _regions(*names: str) -> ndarray:
 
 
 _TORSO = ("chest", "belly", "upper back", "lower back", "collar", "shoulder front", "shoulder back", "thigh")
+_UPPER_NAMES = ("chest", "upper back", "collar", "shoulder front", "shoulder back")
+_LOWER_NAMES = ("belly", "lower back", "thigh")
 _RIGHT = _regions(*(f"{name} R" for name in _TORSO))
 _LEFT = _regions(*(f"{name} L" for name in _TORSO))
 _FRONT = _regions(*(f"{name} {side}" for name in ("chest", "belly", "collar", "shoulder front") for side in "RL"))
 _BACK = _regions(*(f"{name} {side}" for name in ("upper back", "lower back", "shoulder back") for side in "RL"))
+#: Regions near the two ends of the trunk.
+_UPPER_TRUNK = _regions(*(f"{name} {side}" for name in _UPPER_NAMES for side in "RL"))
+_LOWER_TRUNK = _regions(*(f"{name} {side}" for name in _LOWER_NAMES for side in "RL"))
+#: A trunk that leans by less than this is taken as upright (radians): heights tell of limbs then.
+_UPRIGHT_RAD = 0.35
+#: From here on the frame leans with the trunk (radians), in between by a part of it.
+_LEANING_RAD = 0.7
+#: A trunk shorter than this has no direction (metres).
+_LEAST_TRUNK_M = 0.02
 #: ``parts[..., MIRRORED, :]`` exchanges the sides.
 MIRRORED = np.concatenate([MIRROR[1:].astype(np.int64) - 1, REGION_COUNT + MIRRORED_JOINTS])
 assert len(REGION_NAMES) == REGION_COUNT + 1
@@ -73,7 +87,7 @@ _PAIR_M = 0.2
 @dataclasses.dataclass(frozen=True, eq=False)
 class BodyFrame:
     """The body's frame of each sample: origin near the middle of the trunk (metres), ``x`` forwards, ``y`` to the
-    body's left, ``z`` up. ``point_body = rotation @ (point - origin)``."""
+    body's left, ``z`` up, along the trunk of people who lean. ``point_body = rotation @ (point - origin)``."""
 
     origin: Float[ndarray, "*n 3"]
     rotation: Float[ndarray, "*n 3 3"]
@@ -155,7 +169,53 @@ def observed_parts(parts: Float32[ndarray, "*n 61 16"]) -> Bool[ndarray, "*n 61"
 
 
 def body_frame(parts: Float32[ndarray, "*n views 61 16"]) -> BodyFrame:
-    """The body's frame, from the observed regions of the trunk.
+    """The body's frame, in which the trunk of people who lean points up: the more so the more they lean.
+
+    Where the trunk points is told by the joints of the cameras, and without these by the regions of the trunk. People
+    who stand have the frame of their heading (:func:`heading_frame`).
+    """
+    turns = _turns_up(_trunk_direction(parts))
+    if not turns.any():
+        return heading_frame(parts)
+    turn = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix().reshape(*turns.shape, 3)
+    of_views = np.broadcast_to(turn[..., None, :, :], (*parts.shape[:-2], 3, 3))
+    turned = heading_frame(transform_parts(parts, of_views, np.zeros((*parts.shape[:-2], 3))))
+    return BodyFrame(np.einsum("...ji,...j->...i", turn, turned.origin), turned.rotation @ turn)
+
+
+def _trunk_direction(parts: Float32[ndarray, "*n views 61 16"]) -> Float[ndarray, "*n 3"]:
+    """Unit vector from the hips to the neck; up where neither joints nor regions of the trunk are known."""
+    hips, neck = (parts[..., REGION_COUNT + JOINT_INDEX[name], :] for name in ("Hip", "Neck"))
+    sure = (hips[..., PROBABILITY] * neck[..., PROBABILITY]).astype(np.float64)
+    of_joints = np.einsum("...v,...vc->...c", sure, (neck - hips)[..., CENTRE].astype(np.float64))
+
+    regions = parts[..., :REGION_COUNT, :]
+    weights = (regions[..., AREA] * regions[..., PROBABILITY]).astype(np.float64)
+    shares = []
+    for ends in (_UPPER_TRUNK, _LOWER_TRUNK):
+        of_end = weights[..., ends]
+        total = of_end.sum((-1, -2))[..., None]
+        centres = np.einsum("...vr,...vrc->...c", of_end, regions[..., ends, CENTRE].astype(np.float64))
+        shares.append(np.where(total > 0, centres / np.maximum(total, 1e-12), np.nan))
+    upper, lower = shares
+    direction = np.where(sure.any(-1, keepdims=True), of_joints, upper - lower)
+    length = np.linalg.norm(direction, axis=-1, keepdims=True)
+    known = length > _LEAST_TRUNK_M  # not NaN
+    return np.where(known, direction / np.where(known, length, 1), [0.0, 0.0, 1.0])
+
+
+def _turns_up(trunk: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3"]:
+    """Rotation vectors that turn leaning trunks (unit vectors) up the shortest way; 0 for those that hardly lean."""
+    lean = np.arccos(np.clip(trunk[..., 2:], -1, 1))
+    angle = lean * np.clip((lean - _UPRIGHT_RAD) / (_LEANING_RAD - _UPRIGHT_RAD), 0, 1)
+    axis = np.stack([trunk[..., 1], -trunk[..., 0], np.zeros(trunk.shape[:-1])], -1)
+    length = np.linalg.norm(axis, axis=-1, keepdims=True)
+    # Whoever is upside down exactly may turn about any level axis.
+    return angle * np.where(length > 1e-9, axis / np.maximum(length, 1e-9), [1.0, 0.0, 0.0])
+
+
+def heading_frame(parts: Float32[ndarray, "*n views 61 16"]) -> BodyFrame:
+    """The frame of the body's heading, with the world's vertical, from the observed regions of the trunk.
 
     Its origin is the mean of the centres, weighted by area and probability. Its direction is the sum of three cues:
     from the right regions to the left ones, from the cameras that see the back to those that see the front, and from

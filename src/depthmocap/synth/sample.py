@@ -20,7 +20,13 @@ from depthmocap.synth.body.mesh import PosedBody
 from depthmocap.synth.body.mesh_landmarks import landmark_vertices
 from depthmocap.synth.cut import CUTS, Cut, cut_plane, random_cut
 from depthmocap.synth.motion.extreme_postures import FAMILIES, Family
-from depthmocap.synth.motion.postures import TRAINING_VARIATION, PostureSource, Variation, posture_source
+from depthmocap.synth.motion.postures import (
+    TRAINING_VARIATION,
+    LeaningPostures,
+    PostureSource,
+    Variation,
+    posture_source,
+)
 from depthmocap.synth.people.bodies import Wardrobe, random_dressed_body
 from depthmocap.synth.people.garments import DressedBody
 from depthmocap.synth.people.pockets import pose_in_clothes
@@ -141,6 +147,7 @@ class Recipe:
         hands_on_body: everybody lays a hand or both on the body, if possible: folded arms, hands on hips, at the chin.
         family: everybody is in a posture of a family that is rare in recordings: "floor" lying, kneeling, crawling,
             "acrobatic" kicks, splits, scales, bends, "air" any way up.
+        leaning: everybody's trunk leans: crawling, lying, bending, falling as recordings have it.
         cut: the part of the body is hidden that lies below the knees, thighs, hips or chest, above the waist or the
             neck, to one side, or beyond an edge of the picture; "any" for all of these in turn.
         cut_share: share of the people who are cut off.
@@ -161,6 +168,7 @@ class Recipe:
     seated: bool = False
     hands_on_body: bool = False
     family: Family | None = None
+    leaning: bool = False
     cut: Cut | Literal["any"] | None = None
     cut_share: float = 1.0
     overhead: float = 0.0
@@ -209,6 +217,7 @@ BENCH: dict[str, Recipe] = {
     "hands on body": dataclasses.replace(_BENCH, hands_on_body=True),
     "floor": dataclasses.replace(_BENCH, family="floor"),
     "acrobatic": dataclasses.replace(_BENCH, family="acrobatic"),
+    "leaning": dataclasses.replace(_BENCH, leaning=True),
     "overhead": dataclasses.replace(_BENCH, cameras=_OVERHEAD),
     **{f"cut {cut}": dataclasses.replace(_BENCH, cut=cut) for cut in CUTS},
 }
@@ -312,7 +321,11 @@ class Sampler:
             variation = dataclasses.replace(variation, touch=1.0, as_recorded=0.0, beyond=0.0)
         if recipe.family is not None:
             variation = Variation(mirror=0.5, beyond=1.0, family=recipe.family)
-        self._postures = posture_source(recipe.postures, recipe.split, recipe.subset == "easy", variation)
+        self._postures: PostureSource = posture_source(
+            recipe.postures, recipe.split, recipe.subset == "easy", variation
+        )
+        if recipe.leaning:
+            self._postures = LeaningPostures(self._postures, 1.0)
 
     def __call__(self, index: int) -> Sample:
         """The sample of an index, from 0. A sample that no camera sees is drawn again.

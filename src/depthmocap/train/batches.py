@@ -21,7 +21,13 @@ from depthmocap.body.skeleton import JOINTS
 from depthmocap.classify.window import WINDOW_MAKERS, NetworkName
 from depthmocap.errors import InputError
 from depthmocap.frames import View
-from depthmocap.synth.motion.postures import TRAINING_VARIATION, Variation, posture_source
+from depthmocap.synth.motion.postures import (
+    TRAINING_VARIATION,
+    LeaningPostures,
+    PostureSource,
+    Variation,
+    posture_source,
+)
 from depthmocap.synth.sample import Recipe, Split, Subset
 from depthmocap.synth.sample import Sampler as SampleSampler
 from depthmocap.train.distributed import process_count, process_rank
@@ -34,6 +40,8 @@ _VALID_SEED = 1_000_003
 _SORTED_BATCHES = 8
 #: Number of windows between one and its mirror image.
 _MIRROR_DELAY = 1024
+#: Of leaning people, share who are seen upright in the training of a network for them alone.
+_UPRIGHT_OF_LEANING = 0.95
 #: What the training of our network can leave out, to measure its worth: batch normalisation; half the channels;
 #: clothes; the sensors' errors; occlusion and errors of the mask; mirror images; postures beyond the recorded; every
 #: second row and column of pixels.
@@ -54,6 +62,8 @@ class WindowSource:
             for their resolution.
         cut: share of people who are cut off, also in validation pictures, which have the other errors of training then;
             by default as in the training of the classifier, whose validation pictures show whole people.
+        leaning: share of people whose trunk leans, nearly all of whom are seen upright then, also in validation
+            pictures, which have the other errors of training then; by default as they come.
     """
 
     network: NetworkName
@@ -63,6 +73,7 @@ class WindowSource:
     seed: int
     without: tuple[Ingredient, ...] = ()
     cut: float | None = None
+    leaning: float = 0.0
 
     def train(self, first: int = 0) -> Dataset[LabelledWindow]:
         """Windows from number ``first`` on, without end.
@@ -87,9 +98,24 @@ class WindowSource:
         if self.network == "paper":
             source = _PaperWindows(fixed, "valid", 0)
             return [source[i] for i in range(count)]
-        postures = posture_source(self.postures, "valid", self.subset == "easy")
-        errors = None if self.cut is None else Degradations(cut=self.cut)
+        variation = TRAINING_VARIATION if self.leaning else Variation()
+        postures = self.leaning_postures(posture_source(self.postures, "valid", self.subset == "easy", variation))
+        errors = None if self.cut is None and not self.leaning else self.degradations
         return [self.at_resolution(training_window(fixed.seed, i, self.subset, postures, errors)) for i in range(count)]
+
+    @property
+    def degradations(self) -> Degradations:
+        """Shares of degraded pictures in the training of our network."""
+        plain = Degradations()
+        return dataclasses.replace(
+            plain,
+            cut=plain.cut if self.cut is None else self.cut,
+            upright=_UPRIGHT_OF_LEANING if self.leaning else plain.upright,
+        )
+
+    def leaning_postures(self, postures: PostureSource) -> PostureSource:
+        """The postures, so many of them with a leaning trunk as this source has."""
+        return LeaningPostures(postures, self.leaning) if self.leaning else postures
 
     def at_resolution(self, window: LabelledWindow) -> LabelledWindow:
         """The window at the resolution of this source; half of it keeps every second row and column, repeated twice."""
@@ -118,9 +144,9 @@ class _SynthWindows(Dataset[LabelledWindow]):
     def __init__(self, source: WindowSource, first: int) -> None:
         self.source, self.first = source, first
         variation = Variation(mirror=0.5) if "variation" in source.without else TRAINING_VARIATION
-        self.postures = posture_source(source.postures, "train", source.subset == "easy", variation)
-        degradations = Degradations() if source.cut is None else Degradations(cut=source.cut)
-        self.degradations = None if "spoiling" in source.without else degradations
+        postures = posture_source(source.postures, "train", source.subset == "easy", variation)
+        self.postures = source.leaning_postures(postures)
+        self.degradations = None if "spoiling" in source.without else source.degradations
 
     def __len__(self) -> int:
         return ENDLESS

@@ -37,6 +37,8 @@ class ClassifierTraining(TrainingRunSettings):
         blend: share of the weights it started from in the exported ones. It keeps more of what was learnt before, above
             all on pictures unlike those of the training (Wortsman et al., "Robust fine-tuning", CVPR 2022).
         bfloat16: multiply in half precision; by default where the device has instructions for it.
+        leaning: share of people whose trunk leans, nearly all of whom are turned upright: for the network that sees
+            them again. By default postures come as they are.
         without: ingredients that the training of our network leaves out, to measure their worth (``train ablations``).
     """
 
@@ -51,6 +53,7 @@ class ClassifierTraining(TrainingRunSettings):
     blend: float = 0.0
     valid_images: int = 320
     bfloat16: bool | None = None
+    leaning: float = 0.0
     without: tuple[Ingredient, ...] = ()
 
     def __post_init__(self) -> None:
@@ -58,13 +61,16 @@ class ClassifierTraining(TrainingRunSettings):
         check_at_least(1, {"--valid-images": self.valid_images})
         check_at_least(0, {"--weight-decay": self.weight_decay})
         check_above_0({"--learning-rate": self.learning_rate})
-        check_share({"--momentum": self.momentum, "--blend": self.blend})
+        check_share({"--momentum": self.momentum, "--blend": self.blend, "--leaning": self.leaning})
+        if self.leaning and (self.network == "paper" or self.data != "synth"):
+            raise InputError("--leaning is for our network on pictures made on the fly")
         if self.blend and self.start is None:
             raise InputError(f"--blend asks for a --start, got {self.blend} without one")
 
     @property
     def source(self) -> WindowSource:
         """Where its windows come from."""
+        subset = self.subset or default_subset(self.data)
         return WindowSource(
-            self.network, self.data, self.subset or default_subset(self.data), self.postures, self.seed, self.without
+            self.network, self.data, subset, self.postures, self.seed, self.without, leaning=self.leaning
         )

@@ -17,6 +17,7 @@ from jaxtyping import Float, Float32
 from numpy import ndarray
 from rich.console import Console
 from rich.progress import Progress
+from scipy.spatial.transform import Rotation
 from torch import nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
@@ -62,6 +63,8 @@ _AVERAGE_DECAY = 0.998
 _AVERAGE_AFTER = 1000
 #: The learning rate rises over this many steps.
 _WARM_UP_STEPS = 200
+#: Weight of the distance of a joint or point that the network gives no chance to be right; of one that it is sure of 1.
+_LEAST_WEIGHT = 0.2
 #: Weight of the confidence's cross-entropy against the distance in metres.
 _CONFIDENCE_WEIGHT = 0.02
 #: Share of samples with true labels, so that one network serves both kinds of labels.
@@ -70,6 +73,8 @@ _TRUE_LABELS = 0.15
 _NO_JOINTS = 0.08
 #: Share of samples that are tilted as a whole, cameras included, in addition to the tilt of their postures.
 _TILTED = 0.1
+#: Standard deviation of the frame's error about each level axis, radians.
+_TILT_RAD = 0.08
 #: Share of samples with errors of the extrinsics.
 _MISPLACED = 0.5
 #: Parts and share of a sample's cameras in which left and right of these parts are swapped, in addition to the
@@ -160,10 +165,11 @@ def tilt(
 
 
 def _perturb_frame(rng: np.random.Generator, frame: BodyFrame) -> BodyFrame:
-    """The body's frame with random errors of its position and heading."""
+    """The body's frame with random errors of its position, its heading and its lean."""
     n = len(frame.origin)
     angle = np.where(rng.random(n) < 0.03, rng.uniform(-np.pi, np.pi, n), rng.normal(0, 0.12, n))
-    turn = yaw_matrix(np.cos(angle), np.sin(angle)) @ frame.rotation
+    tilts = rng.normal(0, _TILT_RAD, (n, 3)) * [1, 1, 0]
+    turn = Rotation.from_rotvec(tilts).as_matrix() @ yaw_matrix(np.cos(angle), np.sin(angle)) @ frame.rotation
     return BodyFrame(frame.origin + rng.normal(0, 0.03, (n, 3)), turn)
 
 
@@ -290,11 +296,13 @@ class _Run:
         distance = (estimates - targets.nan_to_num()).norm(dim=-1)
         right = (distance.detach() < RIGHT_M).float()
         doubt = nn.functional.binary_cross_entropy_with_logits(logits.float(), right, reduction="none")
+        # Joints that nobody can tell, hidden or cut off, would drown what is to be learnt of the others.
+        weights = _LEAST_WEIGHT + (1 - _LEAST_WEIGHT) * logits.detach().float().sigmoid() ** 2
         of_joints, of_points = (
-            (_known_mean(distance[:, part], known[:, part]), _known_mean(doubt[:, part], known[:, part]))
+            [_known_mean(values[:, part], known[:, part]) for values in (weights * distance, doubt, distance)]
             for part in (slice(len(JOINTS)), slice(len(JOINTS), None))
         )
-        loss, confidence_loss = (a + _POINT_WEIGHT * b for a, b in zip(of_joints, of_points, strict=True))
+        loss, confidence_loss, _ = (a + _POINT_WEIGHT * b for a, b in zip(of_joints, of_points, strict=True))
         loss = loss + _CONFIDENCE_WEIGHT * confidence_loss
         self._optimiser.zero_grad()
         loss.backward()
@@ -304,7 +312,7 @@ class _Run:
         self.steps += 1
         if self.steps > _AVERAGE_AFTER:
             self._average.update_parameters(self._network)
-        return of_joints[0].item() * 100, of_points[0].item() * 100
+        return of_joints[2].item() * 100, of_points[2].item() * 100
 
     def best(self) -> VotesNet:
         """The averaged network; the network itself before averaging starts."""

@@ -43,10 +43,13 @@ _SLANTED_RAD = 0.4
 _SLANTED = 0.2
 #: A trunk that leans by less than this in the picture is shown as it is, radians.
 _LEANING_RAD = 0.5
-#: Share of the others whom the camera sees with the trunk upright, as the classifier sees them again,
-_SET_UPRIGHT = 0.65
-#: but for an error of this standard deviation, radians.
-_SET_UPRIGHT_RAD = 0.15
+#: The camera sees some of the others with the trunk upright, as the classifier sees them again, but for an error of
+#: this standard deviation, radians.
+_UPRIGHT_RAD = 0.15
+#: Share of errors that are larger, as where the classifier was wrong about the trunk,
+_MISTAKEN = 0.1
+#: and their standard deviation, radians.
+_MISTAKEN_RAD = 0.6
 #: Regions (by number) whose pixels lie near the floor.
 _FEET = np.isin(np.arange(44), [REGION[f"{part} {side}"] for part in ("ankle", "forefoot") for side in "RL"])
 #: Least number of labelled pixels of a training picture.
@@ -119,6 +122,8 @@ class Degradations:
         second: the mask includes the second person.
         occlude: a bar or a box is cut out of the mask.
         erode: the mask lacks the outermost pixels.
+        upright: of the trunks that do not point up in the picture, share which the camera is turned for, so that they
+            do, as the classifier sees them again.
     """
 
     truncate: float = 0.12
@@ -129,6 +134,7 @@ class Degradations:
     second: float = 0.2
     occlude: float = 0.08
     erode: float = 0.1
+    upright: float = 0.65
 
 
 def training_window(
@@ -159,7 +165,9 @@ def training_window(
         places = _VALID_PLACES if degradations is None else _random_places(rng, degradations)
         camera = random_camera(rng, person.body, places, preset, "camera")
         if degradations is not None:
-            camera = _sees_upright(np.random.default_rng([seed, index, attempt, 2]), camera, person)
+            camera = _sees_upright(
+                np.random.default_rng([seed, index, attempt, 2]), camera, person, degradations.upright
+            )
         camera = _cropped(camera, person)
         if camera is None:
             continue
@@ -189,9 +197,9 @@ def _random_places(rng: np.random.Generator, degradations: Degradations) -> Came
     return dataclasses.replace(places, roll_rad=roll, truncated=degradations.truncate)
 
 
-def _sees_upright(rng: np.random.Generator, camera: DepthCamera, person: PosedPerson) -> DepthCamera:
-    """The camera, in some of the pictures of a trunk that does not point up turned about its axis so that it does."""
-    wanted, error = rng.random() < _SET_UPRIGHT, rng.normal(0, _SET_UPRIGHT_RAD)
+def _sees_upright(rng: np.random.Generator, camera: DepthCamera, person: PosedPerson, share: float) -> DepthCamera:
+    """The camera, in a share of the pictures of a trunk that does not point up turned about its axis so it does."""
+    wanted, error = rng.random() < share, rng.normal(0, _MISTAKEN_RAD if rng.random() < _MISTAKEN else _UPRIGHT_RAD)
     lean = trunk_lean(transform_points(camera.camera_from_world, person.joints))
     if not wanted or abs(lean) < _LEANING_RAD:
         return camera

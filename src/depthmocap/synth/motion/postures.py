@@ -44,6 +44,10 @@ _LIMBS = [
 ]
 #: Largest number of skipped clips in a message.
 _SKIPS_LISTED = 3
+#: A trunk leans from this angle with the vertical on, radians.
+_LEANING_RAD = 0.6
+#: Largest number of draws of a posture whose trunk leans.
+_LEANING_TRIES = 100
 #: Bones above the pelvis, which recombination takes from another posture.
 UPPER_BONES = np.array([i for i, name in enumerate(POSTURE_BONES) if name.partition(".")[0] not in
                    ("pelvis", "thigh", "shin", "foot")])  # fmt: skip
@@ -207,6 +211,34 @@ def _vary(posture: Float[ndarray, "20 3"], variation: Variation, rng: np.random.
         tilt = Rotation.from_rotvec([angle * np.cos(side), angle * np.sin(side), 0])
         posture[_PELVIS] = (tilt * Rotation.from_rotvec(posture[_PELVIS])).as_rotvec()
     return turn_posture(posture, rng.uniform(-np.pi, np.pi))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LeaningPostures:
+    """Postures of a source, of which a share have a trunk that does not point up.
+
+    Attributes:
+        share: of postures that are drawn again until their trunk leans; after a number of draws the last one is taken.
+    """
+
+    source: PostureSource
+    share: float
+
+    def sample(self, rng: np.random.Generator) -> tuple[Float[ndarray, "20 3"], int]:
+        """A posture with a random heading, and its group in the source."""
+        leaning = rng.random() < self.share
+        posture, group = self.source.sample(rng)
+        for _ in range(_LEANING_TRIES if leaning else 0):
+            if trunk_angle(posture) > _LEANING_RAD:
+                break
+            posture, group = self.source.sample(rng)
+        return posture, group
+
+
+def trunk_angle(posture: Float[ndarray, "20 3"]) -> float:
+    """Angle between the vertical and the line from the middle of the pelvis to the neck, radians."""
+    neck = joint_positions(posture[None])[0, POSTURE_INDEX["spine_up"]]
+    return float(np.arccos(neck[2] / np.linalg.norm(neck)))
 
 
 _PRIOR = {
