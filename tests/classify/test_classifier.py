@@ -161,6 +161,27 @@ def test_only_leaning_people_are_seen_again_by_the_network_for_them(
     assert Classifier(packaged_weights(), threads=1)._of_leaning.path == packaged_weights()  # by itself
 
 
+@pytest.mark.parametrize(("share", "taken"), [(0.95, True), (0.7, False)])
+def test_a_second_look_counts_unless_it_is_much_less_sure(
+    default_body: Body, monkeypatch: pytest.MonkeyPatch, share: float, taken: bool
+) -> None:
+    """A little less sure is what a network is that learnt from harder pictures, where it is as good."""
+    classifier = Classifier(threads=1)
+    depth, labels = render_body(default_body.pose(PosturePrior.load().sample(np.random.default_rng(0))[0]), CAMERA)
+    hung = View(CAMERA, depth, labels > 0).turned(1)
+    assert hung.mask is not None
+    (found,) = classifier._network([classifier.make_window(hung.depth_m, hung.mask, hung.camera)])
+
+    def ask(windows: list[Window]) -> list[WindowPrediction]:
+        shape = windows[0].inputs.shape[1:]
+        sure = np.full(shape, share * found.mean_probability, np.float32)
+        return [WindowPrediction(np.ones(shape, np.uint8), sure, found.joints)]
+
+    monkeypatch.setattr(classifier, "_of_leaning", ask)
+    result = classifier.label_mask(hung, hung.mask)
+    assert result.window is not None and (result.window.turn_rad != 0) == taken
+
+
 def test_the_packaged_network_is_ours() -> None:
     classifier = Classifier(threads=1)
     assert classifier.network == "fast" and classifier.path == packaged_weights()

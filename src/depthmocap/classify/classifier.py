@@ -46,6 +46,9 @@ _LYING_RAD = 0.8
 _LEANING_RAD = 0.35
 #: of a mean probability below this, which hardly any are of people who stand.
 _SURE_OF_LABELS = 0.7
+#: The network for leaning people has learnt from harder pictures: where its labels are as good, their mean probability
+#: is lower by up to this.
+_LESS_SURE = 0.1
 
 
 def packaged_weights() -> Path:
@@ -154,15 +157,16 @@ class Classifier:
         self, view: View, mask: Bool[ndarray, "_ _"], window: Window, prediction: WindowPrediction
     ) -> tuple[Window, WindowPrediction]:
         """The window of a view and the prediction for it; where its joints tell that the trunk does not point up, those
-        for a window that is turned so that it does, if their labels are surer. Networks know people best who are
-        upright in their window, and tell from any how they lie."""
+        for a window that is turned so that it does, unless their labels are less sure. Networks know people best who
+        are upright in their window, and tell from any how they lie."""
         probability, lean = prediction.mean_probability, trunk_lean(prediction.joints[:, :3])
         if not abs(lean) > (_LEANING_RAD if probability < _SURE_OF_LABELS else _LYING_RAD):
             return window, prediction  # also for a network without joints, whose lean is NaN
         turned = make_window(view.depth_m, mask, view.camera, lean)
         assert turned is not None  # as the window before
         (of_turned,) = self._of_leaning([turned])
-        return (turned, of_turned) if of_turned.mean_probability > probability else (window, prediction)
+        least = probability if self._of_leaning is self._network else probability - _LESS_SURE
+        return (turned, of_turned) if of_turned.mean_probability > least else (window, prediction)
 
     def _with_front(self, prediction: WindowPrediction, window: Window) -> WindowPrediction:
         """The prediction with the log odds of its front, and turned round where these say so."""
