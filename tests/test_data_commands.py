@@ -225,7 +225,7 @@ def test_train_classifier_resumes_and_exports(full_root, tmp_path, monkeypatch):
     windows[:, 1] = (windows[:, 1] > 0.5).float()
     with torch.no_grad():
         expected = network.eval()(windows)
-    found = Classifier(onnx)._session.run(None, {"windows": windows.numpy()})
+    found = Classifier(onnx)._network._session.run(None, {"windows": windows.numpy()})
     for ours, theirs in zip(found, expected, strict=True):
         np.testing.assert_allclose(np.asarray(ours), theirs.numpy(), atol=0.02 * theirs.abs().max())
 

@@ -170,7 +170,9 @@ def test_a_second_look_counts_unless_it_is_much_less_sure(
     depth, labels = render_body(default_body.pose(PosturePrior.load().sample(np.random.default_rng(0))[0]), CAMERA)
     hung = View(CAMERA, depth, labels > 0).turned(1)
     assert hung.mask is not None
-    (found,) = classifier._network([classifier.make_window(hung.depth_m, hung.mask, hung.camera)])
+    window = classifier.make_window(hung.depth_m, hung.mask, hung.camera)
+    assert window is not None
+    (found,) = classifier._network([window])
 
     def ask(windows: list[Window]) -> list[WindowPrediction]:
         shape = windows[0].inputs.shape[1:]
