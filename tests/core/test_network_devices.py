@@ -147,6 +147,6 @@ def test_every_network_of_a_pipeline_runs_on_the_device(monkeypatch: pytest.Monk
     Runtime(monkeypatch, "openvino")
     source = BackgroundSource(Board(2).rig, {})
     pipeline = load_pipeline(source, device="openvino")
-    assert pipeline.devices.running == dict.fromkeys(("fast", "front", "votes", "people"), "openvino")
-    assert pipeline.devices.lines() == ["networks run: fast, front, votes, people on openvino"]
+    assert pipeline.devices.running == dict.fromkeys(("fast", "leaning", "front", "votes", "people"), "openvino")
+    assert pipeline.devices.lines() == ["networks run: fast, leaning, front, votes, people on openvino"]
     assert load_pipeline(source, device="cpu").devices.lines() == []

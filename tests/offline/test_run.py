@@ -330,7 +330,7 @@ def test_a_filter_that_waits_loses_no_frame_and_keeps_their_times(recording, tmp
         np.testing.assert_allclose(times, np.arange(6) * 0.1, atol=1e-6)
         assert np.isfinite(joints).all() and (confidence > 0).all()
         assert summary["error"] is not None and summary["smoothing"] is not None
-        assert summary["devices"] == dict.fromkeys(("fast", "front", "votes"), "cpu")
+        assert summary["devices"] == dict.fromkeys(("fast", "leaning", "front", "votes"), "cpu")
         assert summary["error"]["joints_observed"] == 6 * len(JOINTS)
         assert summary["error"]["mean_joint_error_cm"] < 8
         assert summary["smoothing"]["delay_frames"] == (frames if name == "fixed-lag" else 0)

@@ -37,8 +37,8 @@ SETS = 67
 START_NS = 1_700_000_000_000_000_000
 #: Cameras are not triggered together: each is late or early by this much in every set.
 JITTER_S = 0.003
-#: Depth is written in steps of so many of its units (mm), far below the noise: a sixth of the package's size.
-DEPTH_STEP = 2
+#: Depth is written in steps of so many of its units (mm), below the noise: a third of the recording's size.
+DEPTH_STEP = 4
 #: The camera without a background frame; its empty scene has to be learnt from the recording.
 LEARNT_CAMERA = "cam2"
 
