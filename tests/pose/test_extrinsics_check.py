@@ -3,7 +3,6 @@
 import dataclasses
 import importlib.resources
 import json
-import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -137,7 +136,7 @@ def short(tmp_path_factory) -> Path:
     backgrounds = {name: packaged.raw_background(name) for name in packaged.rig.names}
     with RecordingWriter(path, packaged.rig, {k: v for k, v in backgrounds.items() if v is not None}) as writer:
         for name in packaged.rig.names:
-            for stamp in packaged.stamps(name)[: FEWEST_SETS + 4]:
+            for stamp in packaged.stamps(name)[: FEWEST_SETS + 8]:
                 writer.write(stamp, {name: packaged.raw(name, stamp)})
     return path
 
@@ -158,8 +157,8 @@ def shifted(pose: np.ndarray) -> np.ndarray:
     ("pose", "message"),
     [
         (None, None),
-        (shifted, "stands elsewhere than the rig says, by [01]° and 15 cm where the person is, against"),
-        (rigid_inverse, r"is camera_from_world, the inverse: right would be \[\["),
+        (shifted, "stands elsewhere than the rig says, by 0° and 15 cm where the person is, against"),
+        (rigid_inverse, "is camera_from_world, the inverse: right would be [["),
     ],
 )
 def test_run_tells_of_a_rig_that_is_wrong(short, tmp_path, capsys, pose, message) -> None:
@@ -173,5 +172,5 @@ def test_run_tells_of_a_rig_that_is_wrong(short, tmp_path, capsys, pose, message
         assert max(summary["cameras_apart_cm"].values()) < 4
     else:
         (problem,) = summary["problems"]
-        assert re.search(message, problem["text"]) and repr(rig.names[1]) in problem["text"]
+        assert message in problem["text"] and repr(rig.names[1]) in problem["text"]
         assert problem["text"][:40] in " ".join(capsys.readouterr().err.split())

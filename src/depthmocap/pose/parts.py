@@ -23,6 +23,7 @@ from depthmocap.body.skeleton import JOINT_INDEX, JOINTS
 from depthmocap.body.skeleton import MIRROR as MIRRORED_JOINTS
 from depthmocap.errors import InputError
 from depthmocap.geometry import z_up_from
+from depthmocap.geometry.transforms import rotation_between
 from depthmocap.kernels.part_moments import part_moments
 from depthmocap.pose.cloud import LabelledCloud
 
@@ -48,15 +49,19 @@ def _regions(*names: str) -> ndarray:
 
 
 _TORSO = ("chest", "belly", "upper back", "lower back", "collar", "shoulder front", "shoulder back", "thigh")
-_UPPER_NAMES = ("chest", "upper back", "collar", "shoulder front", "shoulder back")
-_LOWER_NAMES = ("belly", "lower back", "thigh")
 _RIGHT = _regions(*(f"{name} R" for name in _TORSO))
 _LEFT = _regions(*(f"{name} L" for name in _TORSO))
 _FRONT = _regions(*(f"{name} {side}" for name in ("chest", "belly", "collar", "shoulder front") for side in "RL"))
 _BACK = _regions(*(f"{name} {side}" for name in ("upper back", "lower back", "shoulder back") for side in "RL"))
 #: Regions near the two ends of the trunk.
-_UPPER_TRUNK = _regions(*(f"{name} {side}" for name in _UPPER_NAMES for side in "RL"))
-_LOWER_TRUNK = _regions(*(f"{name} {side}" for name in _LOWER_NAMES for side in "RL"))
+_UPPER_TRUNK = _regions(
+    *(
+        f"{name} {side}"
+        for name in ("chest", "upper back", "collar", "shoulder front", "shoulder back")
+        for side in "RL"
+    )
+)
+_LOWER_TRUNK = _regions(*(f"{name} {side}" for name in ("belly", "lower back", "thigh") for side in "RL"))
 #: A trunk that leans by less than this is taken as upright (radians): heights tell of limbs then.
 _UPRIGHT_RAD = 0.35
 #: From here on the frame leans with the trunk (radians), in between by a part of it.
@@ -206,12 +211,11 @@ def _trunk_direction(parts: Float32[ndarray, "*n views 61 16"]) -> Float[ndarray
 
 def _turns_up(trunk: Float[ndarray, "*n 3"]) -> Float[ndarray, "*n 3"]:
     """Rotation vectors that turn leaning trunks (unit vectors) up the shortest way; 0 for those that hardly lean."""
-    lean = np.arccos(np.clip(trunk[..., 2:], -1, 1))
-    angle = lean * np.clip((lean - _UPRIGHT_RAD) / (_LEANING_RAD - _UPRIGHT_RAD), 0, 1)
-    axis = np.stack([trunk[..., 1], -trunk[..., 0], np.zeros(trunk.shape[:-1])], -1)
-    length = np.linalg.norm(axis, axis=-1, keepdims=True)
-    # Whoever is upside down exactly may turn about any level axis.
-    return angle * np.where(length > 1e-9, axis / np.maximum(length, 1e-9), [1.0, 0.0, 0.0])
+    trunks = trunk.reshape(-1, 3)
+    whole = Rotation.from_matrix(rotation_between(trunks, np.broadcast_to([0.0, 0.0, 1.0], trunks.shape))).as_rotvec()
+    lean = np.linalg.norm(whole, axis=1, keepdims=True)
+    share = np.clip((lean - _UPRIGHT_RAD) / (_LEANING_RAD - _UPRIGHT_RAD), 0, 1)
+    return (share * whole).reshape(trunk.shape)
 
 
 def heading_frame(parts: Float32[ndarray, "*n views 61 16"]) -> BodyFrame:
